@@ -1,0 +1,1 @@
+"""The file formats, version 1: data classes in `records`, and a module for each reader and writer."""

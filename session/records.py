@@ -1,0 +1,214 @@
+"""What the files of a session hold, as frozen data classes. Lengths in mm, times in s, values of a frame in DN.
+
+Nothing here reads or writes: see `session_toml`, `frames_csv`, `slice_csv`, `fit_json`, `frame_files`, `hdr_exr`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+FORMAT = 1
+
+FrameKind = Literal[
+    "sample",
+    "sample_dark",
+    "reference",
+    "reference_dark",
+    "dark",
+    "flat",
+    "flat_dark",
+    "target",
+    "chart",
+    "sample_hdr",
+    "reference_hdr",
+]
+Flux = Literal["incident", "entering"]
+Exit = Literal["hemisphere", "lambertian", "fresnel"]
+BeamKind = Literal["white", "led", "laser"]
+Status = Literal["converged", "upper_bound", "unidentifiable", "failed"]
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Material:
+    """`[material]`: what lies under the beam."""
+
+    name: str
+    eta: float
+    g: float | None = None
+    thickness_mm: float | None = None
+    width_mm: float | None = None
+    backing: str | None = None
+    cover: Literal["none", "glass"] = "none"
+    finish: Literal["polished", "rough"] = "polished"
+
+
+@dataclass(frozen=True)
+class Camera:
+    """`[camera]`: how a file's numbers become light. None where the file itself or the frames tell it."""
+
+    layout: str | None = None
+    """A 2×2 colour filter pattern such as RGGB, "mono" or "rgb"."""
+    black: float | None = None
+    """DN at no light."""
+    white: float | None = None
+    """DN at saturation."""
+    gain_e_per_dn: float | None = None
+    read_noise_e: float | None = None
+
+
+@dataclass(frozen=True)
+class Geometry:
+    """`[geometry]`: from pixels to mm in the surface. Either `mm_per_px` or `homography` is given."""
+
+    mm_per_px: float | None = None
+    homography: tuple[tuple[float, float, float], ...] | None = None
+    """3×3, pixel (x, y, 1) to mm in the surface."""
+    mm_per_px_rel_sd: float = 0.0
+    view_angle_deg: float = 45.0
+    """Camera against the surface normal."""
+    view_axis: Literal["x", "y"] = "y"
+    """Image axis that the view foreshortens; the slice is perpendicular to it."""
+
+
+@dataclass(frozen=True)
+class Beam:
+    """`[beam]`."""
+
+    kind: BeamKind = "white"
+    polarised: bool = False
+    incidence_deg: float = 0.0
+    spot_radius_mm: float | None = None
+    """1/e² radius of the irradiance."""
+    channels: tuple[str, ...] | None = None
+    """Channels that carry signal; None is all of them."""
+
+
+@dataclass(frozen=True)
+class Reference:
+    """`[reference]`: the white tile, by its radiance factor for each channel."""
+
+    name: str
+    reflectance: tuple[float, ...]
+    reflectance_sd: tuple[float, ...] | None = None
+
+
+@dataclass(frozen=True)
+class Distortion:
+    """`[distortion]`: OpenCV's pinhole camera matrix and its lens distortion coefficients."""
+
+    camera_matrix: tuple[tuple[float, float, float], ...]
+    coefficients: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class Session:
+    """session.toml, with `calibration` merged in. Tables that a command does not need may be None."""
+
+    path: Path
+    camera: Camera
+    material: Material | None = None
+    geometry: Geometry | None = None
+    beam: Beam = field(default_factory=Beam)
+    reference: Reference | None = None
+    distortion: Distortion | None = None
+    calibration: str | None = None
+    """File name of the calibration that was merged in, relative to the session."""
+
+
+@dataclass(frozen=True)
+class Frame:
+    """One line of frames.csv."""
+
+    file: str
+    kind: FrameKind
+    exposure_s: float
+    exposure_measured_s: float | None = None
+    utc: str | None = None
+    sha256: str | None = None
+
+
+@dataclass(frozen=True)
+class ChannelSlice:
+    """R_d along the slice in one channel; arrays of shape (n,), radii ascending."""
+
+    r_mm: Array
+    rd_per_mm2: Array
+    sd_per_mm2: Array
+    """NaN where unknown."""
+    r_lo_mm: Array | None = None
+    """With `r_hi_mm`: each value is the mean over the annulus [r_lo, r_hi], weighted by r dr."""
+    r_hi_mm: Array | None = None
+    side: NDArray[np.int8] | None = None
+    """−1 and +1 where the two halves of the slice are kept apart."""
+
+
+@dataclass(frozen=True)
+class Slice:
+    """slice.csv: R_d(r) [1/mm²] by channel, and the convention it is in."""
+
+    channels: dict[str, ChannelSlice]
+    eta: float
+    flux: Flux
+    exit: Exit
+    view_angle_deg: float = 45.0
+    incidence_deg: float = 0.0
+    total_r: dict[str, float] = field(default_factory=dict)
+    """Total reflectance by channel in the convention of the curve; a channel may be missing."""
+    total_r_sd: dict[str, float] = field(default_factory=dict)
+    material: str | None = None
+    g: float | None = None
+    spot_radius_mm: float | None = None
+    lost_fraction: dict[str, float] | None = None
+    scale_rel_sd: float = 0.0
+    """Relative error common to the curve and the total."""
+    mm_rel_sd: float = 0.0
+    """Relative error of the length scale."""
+    flags: tuple[str, ...] = ()
+    """What measuring found fault with; from the documented list."""
+    provenance: dict[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class ChannelFit:
+    """Coefficients of one channel [1/mm], errors apart: statistical sd and interval, relative model error, flags."""
+
+    model: str
+    sigma_a_per_mm: float
+    sigma_a_sd_per_mm: float
+    sigma_a_interval95_per_mm: tuple[float, float]
+    sigma_sp_per_mm: float
+    sigma_sp_sd_per_mm: float
+    sigma_sp_interval95_per_mm: tuple[float, float]
+    correlation: float
+    total_r_measured: float
+    total_r_model: float
+    """Entering, hemisphere."""
+    window_mm: tuple[float, float]
+    n: int
+    chi2_reduced: float
+    status: Status
+    flags: tuple[str, ...] = ()
+    model_error: dict[str, float] = field(default_factory=dict)
+    """Relative, by coefficient: `sigma_a`, `sigma_sp`."""
+    sensitivity: dict[str, float] = field(default_factory=dict)
+    """Derivatives such as `d_ln_sigma_a_d_g`."""
+
+
+@dataclass(frozen=True)
+class Fit:
+    """fit.json."""
+
+    version: str
+    input_path: str
+    input_sha256: str
+    options: dict[str, Any]
+    material: str | None
+    eta: float
+    g: float | None
+    channels: dict[str, ChannelFit]
