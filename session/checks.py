@@ -1,0 +1,157 @@
+"""Checks of the values that people write: each turns a raw value into ours, or says what it must be."""
+
+from __future__ import annotations
+
+import difflib
+import math
+import tomllib
+from collections.abc import Callable, Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+from bssrdf.errors import InputError
+from bssrdf.session.records import FORMAT
+
+Check = Callable[[Any], Any]
+"""Returns the value, normalised; raises ValueError with what it must be."""
+
+
+def number(
+    above: float = -math.inf, below: float = math.inf, *, at_least: float = -math.inf, at_most: float = math.inf
+) -> Check:
+    """A finite number in the given range."""
+    limits = [(">", above), ("<", below), (">=", at_least), ("<=", at_most)]
+    wanted = " and ".join(["a finite number", *(f"{sign} {limit:g}" for sign, limit in limits if math.isfinite(limit))])
+
+    def check(value: Any) -> float:
+        if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+            raise ValueError(f"must be {wanted}")
+        if not (above < value < below and at_least <= value <= at_most):
+            raise ValueError(f"must be {wanted}")
+        return float(value)
+
+    return check
+
+
+def text(value: Any) -> str:
+    """A string with something in it."""
+    if not isinstance(value, str) or not value.strip():
+        raise ValueError("must be a text in quotes")
+    return value
+
+
+def boolean(value: Any) -> bool:
+    """true or false."""
+    if not isinstance(value, bool):
+        raise ValueError("must be true or false")
+    return value
+
+
+def choice(*names: str) -> Check:
+    """One of the names."""
+
+    def check(value: Any) -> str:
+        if value not in names:
+            raise ValueError(f"must be one of {', '.join(names)}")
+        return str(value)
+
+    return check
+
+
+def list_of(item: Check, size: int | None = None) -> Check:
+    """A list with something in it, each item checked; of `size` items where given."""
+
+    def check(value: Any) -> tuple[Any, ...]:
+        if not isinstance(value, list | tuple) or not value or (size is not None and len(value) != size):
+            raise ValueError(f"must be a list of {size} values" if size else "must be a list of at least one value")
+        return tuple(item(each) for each in value)
+
+    return check
+
+
+def unique(check: Check) -> Check:
+    """The same, and no item twice."""
+
+    def without_repeats(value: Any) -> tuple[Any, ...]:
+        items: tuple[Any, ...] = check(value)
+        if len(set(items)) < len(items):
+            raise ValueError("must not name anything twice")
+        return items
+
+    return without_repeats
+
+
+def by_channel(item: Check) -> Check:
+    """A table of values by channel, each checked."""
+
+    def check(value: Any) -> dict[str, Any]:
+        if not isinstance(value, Mapping):
+            raise ValueError("must be a table by channel, such as { R = 0.8, G = 0.7 }")
+        return {channel: item(each) for channel, each in value.items()}
+
+    return check
+
+
+def matrix3(value: Any) -> tuple[tuple[float, float, float], ...]:
+    """3×3 numbers, not singular."""
+    rows: tuple[tuple[float, float, float], ...] = list_of(list_of(number(), 3), 3)(value)
+    (a, b, c), (d, e, f), (g, h, i) = rows
+    determinant = a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)
+    scale = math.prod(math.hypot(*row) for row in rows)
+    if not abs(determinant) > 1e-12 * scale:
+        raise ValueError("must be a 3x3 matrix that can be inverted")
+    return rows
+
+
+def checked(file: Path, where: str, raw: Mapping[str, Any], checks: Mapping[str, Check]) -> dict[str, Any]:
+    """The values of one table by key, checked; InputError naming file, key and value."""
+    known_keys(file, where, raw, checks)
+    values = {}
+    for key, value in raw.items():
+        try:
+            values[key] = checks[key](value)
+        except ValueError as error:
+            raise InputError(f"{file}: {where}{key} = {shown(value)} {error}") from error
+    return values
+
+
+def known_keys(file: Path, where: str, given: Iterable[str], known: Iterable[str]) -> None:
+    """InputError for the first given name that is not a known one, with the nearest."""
+    names = list(known)
+    for key in given:
+        if key not in names:
+            near = difflib.get_close_matches(key, names, n=1, cutoff=0)
+            raise InputError(f"{file}: {where}{shown(key)[1:-1]} is not known; did you mean {near[0]}?")
+
+
+def check_format(file: Path, value: Any) -> None:
+    """InputError unless the file's format number is one this version reads."""
+    if isinstance(value, bool) or not isinstance(value, int) or value < 1:
+        raise InputError(f"{file}: format = {shown(value)} must be {FORMAT}")
+    if value > FORMAT:
+        raise InputError(f"{file}: format = {value} is newer than this version reads ({FORMAT}); update bssrdf")
+
+
+def parse_toml(file: Path, document: str) -> dict[str, Any]:
+    """The TOML document; InputError with the place where it is malformed."""
+    try:
+        return tomllib.loads(document)
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"{file}: is not TOML: {shown(str(error))[1:-1]}; put it right there") from error
+
+
+def read_text(file: Path) -> str:
+    """The UTF-8 text of a file (a byte order mark is dropped); InputError where there is none."""
+    try:
+        return file.read_text(encoding="utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise InputError(f"{file}: is not UTF-8 text (byte {error.start}); save it as plain text in UTF-8") from error
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise InputError(f"{file}: cannot be read ({reason}); check the path") from error
+
+
+def shown(value: Any) -> str:
+    """The value as one short line of printable characters."""
+    line = repr(value)
+    return line if len(line) <= 60 else line[:50] + "…" + line[-8:]

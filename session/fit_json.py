@@ -1,0 +1,142 @@
+"""fit.json, and each line of `bssrdf fit --json`. NaN and infinity are null in the file, NaN again when read."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, get_args
+
+from bssrdf.errors import InputError
+from bssrdf.session.atomic import atomic_write
+from bssrdf.session.checks import check_format, read_text, shown
+from bssrdf.session.records import FORMAT, ChannelFit, Fit, Status
+
+_ORDER = (
+    "model",
+    "sigma_a_per_mm",
+    "sigma_a_sd_per_mm",
+    "sigma_a_interval95_per_mm",
+    "sigma_sp_per_mm",
+    "sigma_sp_sd_per_mm",
+    "sigma_sp_interval95_per_mm",
+    "correlation",
+    "model_error",
+    "total_r_measured",
+    "total_r_model",
+    "window_mm",
+    "n",
+    "chi2_reduced",
+    "status",
+    "flags",
+)
+_NUMBERS = (
+    "sigma_a_per_mm",
+    "sigma_a_sd_per_mm",
+    "sigma_sp_per_mm",
+    "sigma_sp_sd_per_mm",
+    "correlation",
+    "total_r_measured",
+    "total_r_model",
+    "chi2_reduced",
+)
+_PAIRS = ("sigma_a_interval95_per_mm", "sigma_sp_interval95_per_mm", "window_mm")
+_BY_NAME = ("model_error", "sensitivity")
+
+
+def fit_to_dict(fit: Fit) -> dict[str, Any]:
+    """The fit in the layout of fit.json, with None for NaN and infinity."""
+    document = {
+        "format": FORMAT,
+        "version": fit.version,
+        "input": {"path": fit.input_path, "sha256": fit.input_sha256},
+        "options": fit.options,
+        "material": fit.material,
+        "eta": fit.eta,
+        "g": fit.g,
+        "channels": {name: _channel_to_dict(channel) for name, channel in fit.channels.items()},
+    }
+    finite: dict[str, Any] = _finite(document)
+    return finite
+
+
+def fit_line(fit: Fit) -> str:
+    """The fit as one compact line of JSON."""
+    return json.dumps(fit_to_dict(fit), ensure_ascii=False, allow_nan=False, separators=(",", ":"))
+
+
+def write_fit(path: Path, fit: Fit) -> None:
+    """Write fit.json."""
+    with atomic_write(path) as part:
+        text = json.dumps(fit_to_dict(fit), ensure_ascii=False, allow_nan=False, indent=1)
+        part.write_text(text + "\n", encoding="utf-8")
+
+
+def read_fit(path: Path) -> Fit:
+    """The fit in `path`; InputError where it is not a fit.json of a known format."""
+    try:
+        document = json.loads(read_text(path))
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"{path}: is not JSON ({error}); run the fit again") from error
+    if not isinstance(document, dict):
+        raise InputError(f"{path}: {shown(document)} is not a fit; run the fit again")
+    check_format(path, document.get("format", FORMAT))
+    try:
+        return _fit(document)
+    except KeyError as error:
+        raise InputError(f"{path}: lacks {error.args[0]}; run the fit again") from error
+    except (TypeError, ValueError, AttributeError, OverflowError) as error:
+        raise InputError(f"{path}: is not laid out as a fit.json ({error}); run the fit again") from error
+
+
+def _channel_to_dict(channel: ChannelFit) -> dict[str, Any]:
+    values = {name: getattr(channel, name) for name in _ORDER}
+    return values | ({"sensitivity": channel.sensitivity} if channel.sensitivity else {})
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {key: _finite(each) for key, each in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(each) for each in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
+
+
+def _fit(document: dict[str, Any]) -> Fit:
+    return Fit(
+        version=str(document["version"]),
+        input_path=str(document["input"]["path"]),
+        input_sha256=str(document["input"]["sha256"]),
+        options=dict(document["options"]),
+        material=document["material"],
+        eta=_number(document["eta"]),
+        g=None if document["g"] is None else _number(document["g"]),
+        channels={name: _channel(values) for name, values in document["channels"].items()},
+    )
+
+
+def _channel(values: dict[str, Any]) -> ChannelFit:
+    if values["status"] not in get_args(Status):
+        raise ValueError(f"status {shown(values['status'])}")
+    fields: dict[str, Any] = {name: _number(values[name]) for name in _NUMBERS}
+    fields |= {name: _pair(values[name]) for name in _PAIRS}
+    fields |= {name: {key: _number(each) for key, each in values.get(name, {}).items()} for name in _BY_NAME}
+    return ChannelFit(
+        model=str(values["model"]),
+        n=int(values["n"]),
+        status=values["status"],
+        flags=tuple(values["flags"]),
+        **fields,
+    )
+
+
+def _pair(values: list[Any]) -> tuple[float, float]:
+    low, high = values
+    return _number(low), _number(high)
+
+
+def _number(value: Any) -> float:
+    return math.nan if value is None else float(value)

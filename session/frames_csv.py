@@ -1,0 +1,189 @@
+"""frames.csv: one line a frame; also the journal while capturing, to which lines are only added."""
+
+from __future__ import annotations
+
+import csv
+import math
+import os
+from collections.abc import Iterable, Sequence
+from dataclasses import astuple, fields
+from datetime import datetime
+from io import StringIO
+from pathlib import Path
+from typing import get_args
+
+from bssrdf.errors import InputError
+from bssrdf.session.atomic import atomic_write, inside
+from bssrdf.session.checks import known_keys, read_text, shown
+from bssrdf.session.records import Frame, FrameKind
+
+COLUMNS = tuple(field.name for field in fields(Frame))
+KINDS: tuple[str, ...] = get_args(FrameKind)
+SAME_EXPOSURE = 1e-3
+"""Relative difference up to which a dark has its frame's exposure."""
+
+
+def read_frames(session_path: Path, *, must_exist: bool = True) -> list[Frame]:
+    """The frames of a session, in order; InputError for a bad line, or a missing file where it `must_exist`."""
+    file = session_path / "frames.csv"
+    frames = _parse(session_path, file, read_text(file))
+    if not frames:
+        raise InputError(f"{file}: lists no frame; add a line file,kind,exposure_s for each")
+    for frame in frames:
+        if must_exist and not (session_path / frame.file).is_file():
+            raise InputError(f"{file}: {frame.file} is not there; put the file back or take its line out")
+    return frames
+
+
+def recover_frames(session_path: Path) -> list[Frame]:
+    """The frames journalled so far, none where there is no journal; a last line that was not finished is cut off."""
+    file = session_path / "frames.csv"
+    if not file.exists():
+        return []
+    content = file.read_bytes()
+    end = content.rfind(b"\n") + 1
+    if end < len(content):
+        with file.open("r+b") as journal:
+            journal.truncate(end)
+            os.fsync(journal.fileno())
+    return _parse(session_path, file, read_text(file)) if end else []
+
+
+def append_frame(session_path: Path, frame: Frame) -> None:
+    """Add one line to the journal and have it on disk; the header is written first where the file is new."""
+    file = session_path / "frames.csv"
+    header = _header(file)
+    values = dict(zip(COLUMNS, _texts(frame), strict=True))
+    for column in COLUMNS:
+        if values[column] and column not in (header or COLUMNS):
+            raise InputError(f"{file}: has no column {column}, which a captured frame needs; start with a new session")
+    line = _csv_text([[values[column] for column in header]] if header else [COLUMNS, list(values.values())])
+    try:
+        with file.open("ab") as journal:
+            journal.write(line.encode())
+            journal.flush()
+            os.fsync(journal.fileno())
+    except OSError as error:
+        raise InputError(f"{file}: cannot be written ({error.strerror})") from error
+
+
+def write_frames(session_path: Path, frames: Iterable[Frame]) -> None:
+    """Write frames.csv as a whole; optional columns that no frame fills are left out."""
+    rows = [_texts(frame) for frame in frames]
+    used = [i for i in range(len(COLUMNS)) if i < 3 or any(row[i] for row in rows)]
+    table = [[row[i] for i in used] for row in [list(COLUMNS), *rows]]
+    with atomic_write(session_path / "frames.csv") as part:
+        part.write_text(_csv_text(table), encoding="utf-8", newline="")
+
+
+def dark_for(frame: Frame, frames: Iterable[Frame]) -> list[Frame]:
+    """The darks of a frame: of its own kind, else `dark`, of its exposure; InputError where there is none."""
+    listed = list(frames)
+    for kind in (f"{frame.kind}_dark", "dark"):
+        darks = [dark for dark in listed if dark.kind == kind and _same_exposure(dark, frame)]
+        if darks:
+            return darks
+    raise InputError(
+        f"{frame.file}: no {frame.kind}_dark or dark of {frame.exposure_s:g} s in frames.csv; "
+        "take one with the beam blocked, or leave this exposure out"
+    )
+
+
+def _same_exposure(dark: Frame, frame: Frame) -> bool:
+    return abs(dark.exposure_s - frame.exposure_s) <= SAME_EXPOSURE * frame.exposure_s
+
+
+def _parse(session_path: Path, file: Path, content: str) -> list[Frame]:
+    try:
+        rows = [(number, row) for number, row in enumerate(csv.reader(StringIO(content), strict=True), 1) if row]
+    except csv.Error as error:
+        raise InputError(f"{file}: is not a CSV table ({error}); write it anew") from error
+    if not rows:
+        raise InputError(f"{file}: is empty; its first line must be {','.join(COLUMNS[:3])}")
+    header = [name.strip() for name in rows[0][1]]
+    _check_header(file, header)
+    frames = [_frame(file, number, header, row) for number, row in rows[1:]]
+    seen: set[str] = set()
+    for frame in frames:
+        inside(session_path, frame.file)
+        if frame.file in seen:
+            raise InputError(f"{file}: {frame.file} is listed twice; take one line out")
+        seen.add(frame.file)
+    return frames
+
+
+def _check_header(file: Path, header: Sequence[str]) -> None:
+    known_keys(file, "column ", header, COLUMNS)
+    for name in COLUMNS[:3]:
+        if name not in header:
+            raise InputError(f"{file}: lacks the column {name}; its first line must begin {','.join(COLUMNS[:3])}")
+    if len(set(header)) < len(header):
+        raise InputError(f"{file}: the header {','.join(header)} names a column twice; take one out")
+
+
+def _frame(file: Path, number: int, header: Sequence[str], row: Sequence[str]) -> Frame:
+    where = f"{file}: line {number}: "
+    if len(row) != len(header):
+        raise InputError(f"{where}has {len(row)} fields, not the {len(header)} of the header; complete it")
+    values = {name: text.strip() for name, text in zip(header, row, strict=True)}
+    if not values["file"]:
+        raise InputError(f"{where}names no file; write its path relative to the session")
+    kind = values["kind"]
+    if kind not in KINDS:
+        raise InputError(f"{where}kind {shown(kind)} is not known; it must be one of {', '.join(KINDS)}")
+    measured = values.get("exposure_measured_s")
+    return Frame(
+        file=values["file"],
+        kind=kind,  # type: ignore[arg-type]  # one of FrameKind, as checked above
+        exposure_s=_exposure(where, "exposure_s", values["exposure_s"]),
+        exposure_measured_s=_exposure(where, "exposure_measured_s", measured) if measured else None,
+        utc=_utc(where, values.get("utc")),
+        sha256=_sha256(where, values.get("sha256")),
+    )
+
+
+def _exposure(where: str, column: str, text: str) -> float:
+    try:
+        seconds = float(text)
+    except ValueError:
+        seconds = math.nan
+    if not 0 < seconds < math.inf:
+        raise InputError(f"{where}{column} {shown(text)} must be a time in seconds above 0")
+    return seconds
+
+
+def _utc(where: str, text: str | None) -> str | None:
+    if text:
+        try:
+            datetime.fromisoformat(text)
+        except ValueError as error:
+            raise InputError(f"{where}utc {shown(text)} must be a time such as 2001-08-12T10:00:00Z") from error
+    return text or None
+
+
+def _sha256(where: str, text: str | None) -> str | None:
+    if text and (len(text) != 64 or set(text) - set("0123456789abcdef")):
+        raise InputError(f"{where}sha256 {shown(text)} must be 64 hexadecimal digits")
+    return text or None
+
+
+def _header(file: Path) -> list[str]:
+    """Columns of the journal there is; empty where it is new. InputError where its last line is unfinished."""
+    if not file.exists() or not file.stat().st_size:
+        return []
+    content = read_text(file)
+    if not content.endswith("\n"):
+        raise InputError(f"{file}: its last line is not finished; resume the session first")
+    header = next(csv.reader([content.partition("\n")[0]]))
+    _check_header(file, header)
+    return header
+
+
+def _texts(frame: Frame) -> list[str]:
+    return ["" if value is None else str(value) for value in astuple(frame)]
+
+
+def _csv_text(rows: Iterable[Sequence[str]]) -> str:
+    text = StringIO()
+    csv.writer(text, lineterminator="\n").writerows(rows)
+    return text.getvalue()

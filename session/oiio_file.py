@@ -1,0 +1,92 @@
+"""Image files through OpenImageIO, whose calls return False where they fail: every return is checked here."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import OpenImageIO as oiio
+from numpy.typing import NDArray
+
+from bssrdf.errors import InputError
+
+_DTYPES = {"uint8": "uint8", "uint16": "uint16", "half": "float", "float": "float", "double": "float"}
+_MOST_PACKED = 4096
+"""No compression of a frame is tighter than this: a header that claims more is rubbish, not worth its memory."""
+
+
+class Image(NamedTuple):
+    """One image of a file: values as stored (half and double as float32), shape (h, w, channels)."""
+
+    data: NDArray[Any]
+    channel_names: tuple[str, ...]
+    name: str
+    attributes: dict[str, Any]
+
+
+def read_images(path: Path) -> list[Image]:
+    """Every image of the file; InputError where one cannot be read whole."""
+    if not path.is_file():
+        raise InputError(f"{path}: is not there; check the path")
+    file = oiio.ImageInput.open(str(path))
+    if file is None:
+        raise _unreadable(path, oiio.geterror())
+    try:
+        images: list[Image] = []
+        while file.seek_subimage(len(images), 0):
+            images.append(_read(path, file))
+        file.geterror()  # drop "no such subimage", which ended the loop
+        return images
+    finally:
+        file.close()
+
+
+def _read(path: Path, file: Any) -> Image:
+    spec = file.spec()
+    dtype = _DTYPES.get(str(spec.format))
+    attributes = {attribute.name: attribute.value for attribute in spec.extra_attribs}
+    bits = attributes.get("oiio:BitsPerSample", 8)
+    if dtype is None or bits not in (8, 16, 32, 64):
+        raise InputError(
+            f"{path}: pixels of {bits}-bit {spec.format} are not read; save 8 or 16 bit unsigned, or float"
+        )
+    if spec.depth != 1 or spec.deep or spec.image_bytes() > _MOST_PACKED * path.stat().st_size:
+        raise _unreadable(path, f"{spec.width}x{spec.height}x{spec.depth} pixels do not fit in the file")
+    data = file.read_image(file.current_subimage(), 0, 0, spec.nchannels, dtype)
+    if data is None or file.has_error:
+        raise _unreadable(path, file.geterror())
+    shape = (spec.height, spec.width, spec.nchannels)
+    return Image(
+        np.asarray(data).reshape(shape), tuple(spec.channelnames), attributes.get("oiio:subimagename", ""), attributes
+    )
+
+
+def _unreadable(path: Path, reason: str) -> InputError:
+    lines = reason.strip().splitlines() or ["no reason given"]
+    return InputError(f"{path}: cannot be read as an image ({lines[0]}); copy or take the file again")
+
+
+def write_exr(path: Path, parts: Sequence[tuple[str, NDArray[np.float32]]], attributes: dict[str, str]) -> None:
+    """Write float32 images of shape (h, w, channels) as the named parts of one EXR; `attributes` go into the first."""
+    specs = []
+    for name, data in parts:
+        height, width, channels = data.shape
+        spec = oiio.ImageSpec(width, height, channels, "float")
+        spec.channelnames = ("Y",) if channels == 1 else ("R", "G", "B")
+        spec.attribute("oiio:subimagename", name)
+        spec.attribute("compression", "zip")
+        specs.append(spec)
+    for key, value in attributes.items():
+        specs[0].attribute(key, value)
+    file: Any = oiio.ImageOutput.create("exr")
+    try:
+        done = file.open(str(path), specs)
+        for i, (_, data) in enumerate(parts):
+            done = done and (i == 0 or file.open(str(path), specs[i], "AppendSubimage"))
+            done = done and file.write_image(np.ascontiguousarray(data))
+    finally:
+        closed = file.close()
+    if not (done and closed):
+        raise InputError(f"{path}: cannot be written ({file.geterror() or oiio.geterror()}); choose another place")

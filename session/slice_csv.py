@@ -1,0 +1,228 @@
+"""slice.csv: R_d(r) by channel under a TOML header in `#` lines. Radii in mm, R_d in 1/mm²."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Iterator, Mapping
+from dataclasses import fields
+from io import StringIO
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bssrdf.errors import InputError
+from bssrdf.session.atomic import atomic_write
+from bssrdf.session.checks import (
+    Check,
+    by_channel,
+    check_format,
+    checked,
+    choice,
+    known_keys,
+    list_of,
+    number,
+    parse_toml,
+    read_text,
+    shown,
+    text,
+)
+from bssrdf.session.records import FORMAT, Array, ChannelSlice, Slice
+from bssrdf.session.toml_text import toml_table
+
+_NOT_NEGATIVE = number(at_least=0)
+_ANGLE = number(at_least=0, below=90)
+_FRACTION = number(at_least=0, below=1)
+
+
+def _table(value: Any) -> dict[str, Any]:
+    if not isinstance(value, Mapping):
+        raise ValueError("must be a table")
+    return dict(value)
+
+
+def _lost_fraction(value: Any) -> float | dict[str, float]:
+    lost: float | dict[str, float] = (by_channel(_FRACTION) if isinstance(value, Mapping) else _FRACTION)(value)
+    return lost
+
+
+HEADER: dict[str, Check] = {
+    "material": text,
+    "eta": number(above=0),
+    "g": number(above=-1, below=1),
+    "flux": choice("incident", "entering"),
+    "exit": choice("hemisphere", "lambertian", "fresnel"),
+    "view_angle_deg": _ANGLE,
+    "incidence_deg": _ANGLE,
+    "spot_radius_mm": number(above=0),
+    "total_r": by_channel(number(above=0, at_most=1.1)),
+    "total_r_sd": by_channel(_NOT_NEGATIVE),
+    "lost_fraction": _lost_fraction,
+    "scale_rel_sd": _NOT_NEGATIVE,
+    "mm_rel_sd": _NOT_NEGATIVE,
+    "flags": lambda value: list_of(text)(value) if value else (),
+    "provenance": _table,
+}
+_REQUIRED = {"eta": "eta = 1.3", "flux": 'flux = "incident"', "exit": 'exit = "fresnel"'}
+_BY_CHANNEL = ("total_r", "total_r_sd", "lost_fraction")
+_COLUMNS = tuple(field.name for field in fields(ChannelSlice))
+_MAY_BE_EMPTY = ("sd_per_mm2",)
+
+
+def read_slice(path: Path, **overrides: Any) -> Slice:
+    """The curve in `path`; `overrides` are keys of its header that win over it, None where not given."""
+    header_text, table_text = _split(read_text(path))
+    raw = parse_toml(path, header_text)
+    check_format(path, raw.pop("format", FORMAT))
+    raw |= {key: value for key, value in overrides.items() if value is not None}
+    header = checked(path, "", raw, HEADER)
+    for key, example in _REQUIRED.items():
+        if key not in header:
+            raise InputError(f"{path}: lacks {key}; add a line such as `# {example}` or give --{key}")
+    channels = dict(_channels(path, table_text))
+    if isinstance(header.get("lost_fraction"), float):
+        header["lost_fraction"] = dict.fromkeys(channels, header["lost_fraction"])
+    for key in _BY_CHANNEL:
+        known_keys(path, f"channel in {key} ", header.get(key, {}), channels)
+    return Slice(channels=channels, **header)
+
+
+def write_slice(path: Path, curve: Slice) -> None:
+    """Write `curve` so that `read_slice` gives it back to the last bit."""
+    header = {key: getattr(curve, key) for key in HEADER if key != "provenance"}
+    document = toml_table({"format": FORMAT} | {key: value for key, value in header.items() if value not in ({}, ())})
+    if curve.provenance:
+        document += "[provenance]\n" + toml_table(curve.provenance)
+    columns = [name for name in _COLUMNS if any(getattr(part, name) is not None for part in curve.channels.values())]
+    table = StringIO()
+    writer = csv.writer(table, lineterminator="\n")
+    writer.writerow(["channel", *columns])
+    for channel, part in curve.channels.items():
+        writer.writerows(zip(_repeated(channel), *(_texts(part, name) for name in columns), strict=False))
+    with atomic_write(path) as unfinished:
+        commented = "".join(f"# {line}\n" for line in document.splitlines())
+        unfinished.write_text(commented + table.getvalue(), encoding="utf-8", newline="")
+
+
+def _split(content: str) -> tuple[str, str]:
+    """The TOML header and the CSV table, each with the other's lines empty, so that line numbers stay the file's."""
+    lines = content.split("\n")
+    is_header = [line.startswith("#") for line in lines]
+    header = [
+        line[1:] if head and not line.startswith("##") else "" for line, head in zip(lines, is_header, strict=True)
+    ]
+    table = ["" if head else line for line, head in zip(lines, is_header, strict=True)]
+    return "\n".join(header), "\n".join(table)
+
+
+def _channels(path: Path, table: str) -> Iterator[tuple[str, ChannelSlice]]:
+    """The channels in the order in which they first appear."""
+    names, columns, lines = _columns(path, table)
+    _check_values(path, columns, lines)
+    first = {name: i for i, name in reversed(list(enumerate(names.tolist())))}
+    for name in sorted(first, key=first.__getitem__):
+        here = names == name
+        part = ChannelSlice(**{key: column[here] for key, column in columns.items()})
+        _check_ascending(path, name, part, lines[here])
+        yield name, part
+
+
+def _columns(path: Path, table: str) -> tuple[NDArray[np.str_], dict[str, Any], NDArray[np.int64]]:
+    """Channel names, the other columns as arrays, and the line number of each row."""
+    try:
+        rows = [(n, row) for n, row in enumerate(csv.reader(StringIO(table), strict=True), 1) if row]
+    except csv.Error as error:
+        raise InputError(f"{path}: is not a CSV table ({error}); write it anew") from error
+    if len(rows) < 2:
+        raise InputError(f"{path}: holds no row; below the header it needs channel,r_mm,rd_per_mm2,sd_per_mm2")
+    header = [name.strip() for name in rows[0][1]]
+    _check_header(path, header)
+    for n, row in rows:
+        if len(row) != len(header):
+            raise InputError(
+                f"{path}: line {n} has {len(row)} fields, not the {len(header)} of the header; complete it"
+            )
+    lines = np.array([n for n, _ in rows[1:]])
+    texts = dict(zip(header, np.array([row for _, row in rows[1:]]).T, strict=True))
+    names = np.char.strip(texts.pop("channel"))
+    if not np.all(names != ""):
+        raise InputError(f"{path}: line {lines[names == ''][0]} names no channel; write one, such as G")
+    return names, {name: _numbers(path, name, column, lines) for name, column in texts.items()}, lines
+
+
+def _check_header(path: Path, header: list[str]) -> None:
+    known_keys(path, "column ", header, ["channel", *_COLUMNS])
+    needed = ["channel", "r_mm", "rd_per_mm2", "sd_per_mm2"]
+    if "r_lo_mm" in header or "r_hi_mm" in header:
+        needed += ["r_lo_mm", "r_hi_mm"]
+    for name in needed:
+        if name not in header:
+            raise InputError(f"{path}: lacks the column {name}; add it")
+    if len(set(header)) < len(header):
+        raise InputError(f"{path}: the header {','.join(header)} names a column twice; take one out")
+
+
+def _numbers(path: Path, name: str, column: NDArray[np.str_], lines: NDArray[np.int64]) -> Any:
+    empty = np.char.strip(column) == ""
+    if name not in _MAY_BE_EMPTY and empty.any():
+        raise InputError(f"{path}: line {lines[empty][0]} has no {name}; write it, or take the line out")
+    filled = np.where(empty, "nan", column)
+    try:
+        values = filled.astype(np.float64)
+    except ValueError:
+        values = np.array([_number_or_nan(each) for each in filled.tolist()])
+    _refuse(path, ~np.isfinite(values) & ~empty, name, column, lines, "must be a finite number")
+    return values
+
+
+def _number_or_nan(value: str) -> float:
+    try:
+        return float(value)
+    except ValueError:
+        return np.nan
+
+
+def _check_values(path: Path, columns: dict[str, Any], lines: NDArray[np.int64]) -> None:
+    def refuse(bad: NDArray[np.bool_], name: str, remedy: str) -> None:
+        _refuse(path, bad, name, columns[name], lines, remedy)
+
+    r = columns["r_mm"]
+    refuse(r < 0, "r_mm", "must be 0 or more; radii count from the beam outwards")
+    refuse(columns["sd_per_mm2"] <= 0, "sd_per_mm2", "must be above 0; leave it empty where it is unknown")
+    if "r_lo_mm" in columns:
+        lo, hi = columns["r_lo_mm"], columns["r_hi_mm"]
+        refuse(lo < 0, "r_lo_mm", "must be 0 or more")
+        refuse(hi <= lo, "r_hi_mm", "must be above r_lo_mm")
+        refuse((r < lo) | (r > hi), "r_mm", "must lie between r_lo_mm and r_hi_mm")
+    if "side" in columns:
+        refuse(np.abs(columns["side"]) != 1, "side", "must be -1 or 1")
+        columns["side"] = columns["side"].astype(np.int8)
+
+
+def _check_ascending(path: Path, channel: str, part: ChannelSlice, lines: NDArray[np.int64]) -> None:
+    for side in [None] if part.side is None else [-1, 1]:
+        here = slice(None) if part.side is None else part.side == side
+        falls = np.append(False, np.diff(part.r_mm[here]) < 0)
+        remedy = f"comes after a larger one in channel {channel}; sort the rows by radius"
+        _refuse(path, falls, "r_mm", part.r_mm[here], lines[here], remedy)
+
+
+def _refuse(path: Path, bad: NDArray[np.bool_], name: str, column: Any, lines: NDArray[np.int64], remedy: str) -> None:
+    """InputError for the first bad row, with its line and value."""
+    if bad.any():
+        at = int(np.argmax(bad))
+        raise InputError(f"{path}: line {lines[at]}: {name} = {shown(column[at].item())} {remedy}")
+
+
+def _repeated(channel: str) -> Iterator[str]:
+    while True:
+        yield channel
+
+
+def _texts(part: ChannelSlice, name: str) -> list[str]:
+    """The column as text in the shortest form that reads back the same; empty where NaN."""
+    values: Array | NDArray[np.int8] | None = getattr(part, name)
+    if values is None:
+        raise ValueError(f"{name} is given for some channels only")
+    return ["" if value != value else repr(value) for value in values.tolist()]
