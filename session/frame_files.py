@@ -11,37 +11,11 @@ from numpy.typing import NDArray
 
 from bssrdf.errors import InputError
 
-RAW_SUFFIXES = frozenset(
-    [
-        ".3fr",
-        ".arw",
-        ".cr2",
-        ".cr3",
-        ".crw",
-        ".dcr",
-        ".dng",
-        ".erf",
-        ".fff",
-        ".iiq",
-        ".kdc",
-        ".mef",
-        ".mos",
-        ".mrw",
-        ".nef",
-        ".nrw",
-        ".orf",
-        ".pef",
-        ".raf",
-        ".raw",
-        ".rw2",
-        ".rwl",
-        ".sr2",
-        ".srf",
-        ".srw",
-        ".x3f",
-    ]
+RAW_SUFFIXES = (
+    *(".3fr", ".arw", ".cr2", ".cr3", ".crw", ".dcr", ".dng", ".erf", ".fff", ".iiq", ".kdc", ".mef", ".mos", ".mrw"),
+    *(".nef", ".nrw", ".orf", ".pef", ".raf", ".raw", ".rw2", ".rwl", ".sr2", ".srf", ".srw", ".x3f"),
 )
-IMAGE_SUFFIXES = frozenset({".tif", ".tiff", ".exr", ".hdr"})
+IMAGE_SUFFIXES = (".tif", ".tiff", ".exr", ".hdr")
 
 
 @dataclass(frozen=True)
@@ -89,19 +63,21 @@ def _read_image(path: Path) -> RawFrame:
 def _read_raw(path: Path) -> RawFrame:
     import rawpy
 
+    from bssrdf.session.oiio_file import file_attributes
     from bssrdf.session.tiff_extent import check_tiff_extent
 
     check_tiff_extent(path)
+    camera = file_attributes(path).get("Model")
     try:
         with rawpy.imread(str(path)) as raw:
-            return _raw_frame(path, raw)
+            return _raw_frame(path, raw, camera)
     except (rawpy.LibRawError, rawpy.NotSupportedError, OSError, ValueError, MemoryError) as error:
         reason = error.args[0] if error.args else error
         reason = reason.decode(errors="replace") if isinstance(reason, bytes) else reason
         raise InputError(f"{path}: cannot be read as RAW ({reason}); copy or take the file again") from error
 
 
-def _raw_frame(path: Path, raw: Any) -> RawFrame:
+def _raw_frame(path: Path, raw: Any, camera: str | None) -> RawFrame:
     """Everything copied out: rawpy's own arrays are gone with its file."""
     if raw.raw_pattern is None:
         raise InputError(f"{path}: is no mosaic but a stack of planes (Foveon, sRAW, linear DNG); save full RAW")
@@ -116,6 +92,7 @@ def _raw_frame(path: Path, raw: Any) -> RawFrame:
         black=np.asarray(raw.black_level_per_channel, np.float64)[corner],
         white=float(raw.white_level) if raw.white_level else None,
         exposure_s=_label(raw.other.shutter_speed),
+        camera=camera,
     )
 
 

@@ -30,6 +30,24 @@ def read_images(path: Path) -> list[Image]:
     """Every image of the file; InputError where one cannot be read whole."""
     if not path.is_file():
         raise InputError(f"{path}: is not there; check the path")
+    try:
+        return _read_all(path)
+    except UnicodeDecodeError as error:  # from a name, an attribute, or OpenImageIO's own message
+        raise _unreadable(path, "") from error
+
+
+def file_attributes(path: Path) -> dict[str, Any]:
+    """What the header of a TIFF, or of a RAW file built as one, says; empty where it cannot be read."""
+    try:
+        file = oiio.ImageInput.open(str(path))
+        if file is None:
+            oiio.geterror()  # else it is printed at exit
+        return {} if file is None else _attributes(file.spec())
+    except UnicodeDecodeError:
+        return {}
+
+
+def _read_all(path: Path) -> list[Image]:
     file = oiio.ImageInput.open(str(path))
     if file is None:
         raise _unreadable(path, oiio.geterror())
@@ -37,7 +55,8 @@ def read_images(path: Path) -> list[Image]:
         images: list[Image] = []
         while file.seek_subimage(len(images), 0):
             images.append(_read(path, file))
-        file.geterror()  # drop "no such subimage", which ended the loop
+        if not images:
+            raise _unreadable(path, file.geterror())
         return images
     finally:
         file.close()
@@ -46,7 +65,7 @@ def read_images(path: Path) -> list[Image]:
 def _read(path: Path, file: Any) -> Image:
     spec = file.spec()
     dtype = _DTYPES.get(str(spec.format))
-    attributes = {attribute.name: attribute.value for attribute in spec.extra_attribs}
+    attributes = _attributes(spec)
     bits = attributes.get("oiio:BitsPerSample", 8)
     if dtype is None or bits not in (8, 16, 32, 64):
         raise InputError(
@@ -63,8 +82,12 @@ def _read(path: Path, file: Any) -> Image:
     )
 
 
+def _attributes(spec: Any) -> dict[str, Any]:
+    return {attribute.name: attribute.value for attribute in spec.extra_attribs}
+
+
 def _unreadable(path: Path, reason: str) -> InputError:
-    lines = reason.strip().splitlines() or ["no reason given"]
+    lines = reason.strip().splitlines() or ["damaged or cut short"]
     return InputError(f"{path}: cannot be read as an image ({lines[0]}); copy or take the file again")
 
 
