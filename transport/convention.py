@@ -17,9 +17,9 @@ def camera_factor(
     eta: float,
     *,
     flux: str,
-    exit: str,
+    exit: str,  # noqa: A002
     view_angle_deg: float,
-    incidence_deg: float,  # noqa: A002
+    incidence_deg: float,
 ) -> float:
     """A value in the given convention over the model's own (flux "entering", exit "hemisphere").
 
