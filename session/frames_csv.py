@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-import csv
 import math
 import os
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import astuple, fields
 from datetime import datetime
-from io import StringIO
 from pathlib import Path
 from typing import get_args
 
 from bssrdf.errors import InputError
 from bssrdf.session.atomic import atomic_write, inside
-from bssrdf.session.checks import known_keys, read_text, shown
+from bssrdf.session.checks import read_text, shown
+from bssrdf.session.csv_table import csv_text, parse_csv
 from bssrdf.session.records import Frame, FrameKind
 
 COLUMNS = tuple(field.name for field in fields(Frame))
@@ -57,7 +56,7 @@ def append_frame(session_path: Path, frame: Frame) -> None:
     for column in COLUMNS:
         if values[column] and column not in (header or COLUMNS):
             raise InputError(f"{file}: has no column {column}, which a captured frame needs; start with a new session")
-    line = _csv_text([[values[column] for column in header]] if header else [COLUMNS, list(values.values())])
+    line = csv_text([[values[column] for column in header]] if header else [COLUMNS, list(values.values())])
     try:
         with file.open("ab") as journal:
             journal.write(line.encode())
@@ -73,7 +72,7 @@ def write_frames(session_path: Path, frames: Iterable[Frame]) -> None:
     used = [i for i in range(len(COLUMNS)) if i < 3 or any(row[i] for row in rows)]
     table = [[row[i] for i in used] for row in [list(COLUMNS), *rows]]
     with atomic_write(session_path / "frames.csv") as part:
-        part.write_text(_csv_text(table), encoding="utf-8", newline="")
+        part.write_text(csv_text(table), encoding="utf-8", newline="")
 
 
 def dark_for(frame: Frame, frames: Iterable[Frame]) -> list[Frame]:
@@ -94,15 +93,11 @@ def _same_exposure(dark: Frame, frame: Frame) -> bool:
 
 
 def _parse(session_path: Path, file: Path, content: str) -> list[Frame]:
-    try:
-        rows = [(number, row) for number, row in enumerate(csv.reader(StringIO(content), strict=True), 1) if row]
-    except csv.Error as error:
-        raise InputError(f"{file}: is not a CSV table ({error}); write it anew") from error
-    if not rows:
-        raise InputError(f"{file}: is empty; its first line must be {','.join(COLUMNS[:3])}")
-    header = [name.strip() for name in rows[0][1]]
-    _check_header(file, header)
-    frames = [_frame(file, number, header, row) for number, row in rows[1:]]
+    table = parse_csv(file, content, COLUMNS, COLUMNS[:3])
+    frames = [
+        _frame(file, line, dict(zip(table.header, row, strict=True)))
+        for line, row in zip(table.lines, table.rows, strict=True)
+    ]
     seen: set[str] = set()
     for frame in frames:
         inside(session_path, frame.file)
@@ -112,20 +107,9 @@ def _parse(session_path: Path, file: Path, content: str) -> list[Frame]:
     return frames
 
 
-def _check_header(file: Path, header: Sequence[str]) -> None:
-    known_keys(file, "column ", header, COLUMNS)
-    for name in COLUMNS[:3]:
-        if name not in header:
-            raise InputError(f"{file}: lacks the column {name}; its first line must begin {','.join(COLUMNS[:3])}")
-    if len(set(header)) < len(header):
-        raise InputError(f"{file}: the header {','.join(header)} names a column twice; take one out")
-
-
-def _frame(file: Path, number: int, header: Sequence[str], row: Sequence[str]) -> Frame:
-    where = f"{file}: line {number}: "
-    if len(row) != len(header):
-        raise InputError(f"{where}has {len(row)} fields, not the {len(header)} of the header; complete it")
-    values = {name: text.strip() for name, text in zip(header, row, strict=True)}
+def _frame(file: Path, line: int, fields_of_row: dict[str, str]) -> Frame:
+    where = f"{file}: line {line}: "
+    values = {name: text.strip() for name, text in fields_of_row.items()}
     if not values["file"]:
         raise InputError(f"{where}names no file; write its path relative to the session")
     kind = values["kind"]
@@ -174,16 +158,8 @@ def _header(file: Path) -> list[str]:
     content = read_text(file)
     if not content.endswith("\n"):
         raise InputError(f"{file}: its last line is not finished; resume the session first")
-    header = next(csv.reader([content.partition("\n")[0]]))
-    _check_header(file, header)
-    return header
+    return parse_csv(file, content, COLUMNS, COLUMNS[:3]).header
 
 
 def _texts(frame: Frame) -> list[str]:
     return ["" if value is None else str(value) for value in astuple(frame)]
-
-
-def _csv_text(rows: Iterable[Sequence[str]]) -> str:
-    text = StringIO()
-    csv.writer(text, lineterminator="\n").writerows(rows)
-    return text.getvalue()

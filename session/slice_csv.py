@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import csv
-from collections.abc import Iterator, Mapping
+import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import fields
-from io import StringIO
+from itertools import repeat
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +28,7 @@ from bssrdf.session.checks import (
     shown,
     text,
 )
+from bssrdf.session.csv_table import csv_text, parse_csv
 from bssrdf.session.records import FORMAT, Array, ChannelSlice, Slice
 from bssrdf.session.toml_text import toml_table
 
@@ -69,6 +70,9 @@ _BY_CHANNEL = ("total_r", "total_r_sd", "lost_fraction")
 _COLUMNS = tuple(field.name for field in fields(ChannelSlice))
 _MAY_BE_EMPTY = ("sd_per_mm2",)
 
+Lines = NDArray[np.int64]
+"""The line of the file that each row stands on."""
+
 
 def read_slice(path: Path, **overrides: Any) -> Slice:
     """The curve in `path`; `overrides` are keys of its header that win over it, None where not given."""
@@ -95,101 +99,67 @@ def write_slice(path: Path, curve: Slice) -> None:
     if curve.provenance:
         document += "[provenance]\n" + toml_table(curve.provenance)
     columns = [name for name in _COLUMNS if any(getattr(part, name) is not None for part in curve.channels.values())]
-    table = StringIO()
-    writer = csv.writer(table, lineterminator="\n")
-    writer.writerow(["channel", *columns])
+    rows: list[Iterable[str]] = [["channel", *columns]]
     for channel, part in curve.channels.items():
-        writer.writerows(zip(_repeated(channel), *(_texts(part, name) for name in columns), strict=False))
+        rows += zip(repeat(channel), *(_texts(part, name) for name in columns), strict=False)
+    commented = "".join(f"# {line}\n" for line in document.rstrip("\n").split("\n"))
     with atomic_write(path) as unfinished:
-        commented = "".join(f"# {line}\n" for line in document.splitlines())
-        unfinished.write_text(commented + table.getvalue(), encoding="utf-8", newline="")
+        unfinished.write_text(commented + csv_text(rows), encoding="utf-8", newline="")
 
 
 def _split(content: str) -> tuple[str, str]:
     """The TOML header and the CSV table, each with the other's lines empty, so that line numbers stay the file's."""
     lines = content.split("\n")
-    is_header = [line.startswith("#") for line in lines]
-    header = [
-        line[1:] if head and not line.startswith("##") else "" for line, head in zip(lines, is_header, strict=True)
-    ]
-    table = ["" if head else line for line, head in zip(lines, is_header, strict=True)]
-    return "\n".join(header), "\n".join(table)
+    header = [line[1:] if line.startswith("#") and not line.startswith("##") else "" for line in lines]
+    table = ["" if line.startswith("#") else line for line in lines]
+    return "\n".join(header).rstrip(), "\n".join(table)
 
 
-def _channels(path: Path, table: str) -> Iterator[tuple[str, ChannelSlice]]:
+def _channels(path: Path, content: str) -> Iterator[tuple[str, ChannelSlice]]:
     """The channels in the order in which they first appear."""
-    names, columns, lines = _columns(path, table)
+    table = parse_csv(path, content, ["channel", *_COLUMNS], ["channel", "r_mm", "rd_per_mm2", "sd_per_mm2"])
+    if not table.rows:
+        raise InputError(f"{path}: holds no row below its header; add channel,r_mm,rd_per_mm2,sd_per_mm2 of each point")
+    lines = np.array(table.lines)
+    texts = dict(zip(table.header, zip(*table.rows, strict=True), strict=True))
+    names = np.array([name.strip() for name in texts.pop("channel")])
+    _refuse(path, names == "", "channel", names, lines, "must be a name, such as G")
+    columns = {name: _numbers(path, name, column, lines) for name, column in texts.items()}
     _check_values(path, columns, lines)
-    first = {name: i for i, name in reversed(list(enumerate(names.tolist())))}
-    for name in sorted(first, key=first.__getitem__):
+    for name in dict.fromkeys(names.tolist()):
         here = names == name
         part = ChannelSlice(**{key: column[here] for key, column in columns.items()})
         _check_ascending(path, name, part, lines[here])
         yield name, part
 
 
-def _columns(path: Path, table: str) -> tuple[NDArray[np.str_], dict[str, Any], NDArray[np.int64]]:
-    """Channel names, the other columns as arrays, and the line number of each row."""
+def _numbers(path: Path, name: str, column: Sequence[str], lines: Lines) -> Any:
+    """The column as numbers, NaN where it is empty and may be."""
+    empty = np.array([name in _MAY_BE_EMPTY and not text.strip() for text in column])
     try:
-        rows = [(n, row) for n, row in enumerate(csv.reader(StringIO(table), strict=True), 1) if row]
-    except csv.Error as error:
-        raise InputError(f"{path}: is not a CSV table ({error}); write it anew") from error
-    if len(rows) < 2:
-        raise InputError(f"{path}: holds no row; below the header it needs channel,r_mm,rd_per_mm2,sd_per_mm2")
-    header = [name.strip() for name in rows[0][1]]
-    _check_header(path, header)
-    for n, row in rows:
-        if len(row) != len(header):
-            raise InputError(
-                f"{path}: line {n} has {len(row)} fields, not the {len(header)} of the header; complete it"
-            )
-    lines = np.array([n for n, _ in rows[1:]])
-    texts = dict(zip(header, np.array([row for _, row in rows[1:]]).T, strict=True))
-    names = np.char.strip(texts.pop("channel"))
-    if not np.all(names != ""):
-        raise InputError(f"{path}: line {lines[names == ''][0]} names no channel; write one, such as G")
-    return names, {name: _numbers(path, name, column, lines) for name, column in texts.items()}, lines
-
-
-def _check_header(path: Path, header: list[str]) -> None:
-    known_keys(path, "column ", header, ["channel", *_COLUMNS])
-    needed = ["channel", "r_mm", "rd_per_mm2", "sd_per_mm2"]
-    if "r_lo_mm" in header or "r_hi_mm" in header:
-        needed += ["r_lo_mm", "r_hi_mm"]
-    for name in needed:
-        if name not in header:
-            raise InputError(f"{path}: lacks the column {name}; add it")
-    if len(set(header)) < len(header):
-        raise InputError(f"{path}: the header {','.join(header)} names a column twice; take one out")
-
-
-def _numbers(path: Path, name: str, column: NDArray[np.str_], lines: NDArray[np.int64]) -> Any:
-    empty = np.char.strip(column) == ""
-    if name not in _MAY_BE_EMPTY and empty.any():
-        raise InputError(f"{path}: line {lines[empty][0]} has no {name}; write it, or take the line out")
-    filled = np.where(empty, "nan", column)
-    try:
-        values = filled.astype(np.float64)
+        values = np.array([float(text or "nan") for text in column])
     except ValueError:
-        values = np.array([_number_or_nan(each) for each in filled.tolist()])
+        values = np.array([_number_or_nan(text) for text in column])
     _refuse(path, ~np.isfinite(values) & ~empty, name, column, lines, "must be a finite number")
     return values
 
 
-def _number_or_nan(value: str) -> float:
+def _number_or_nan(text: str) -> float:
     try:
-        return float(value)
+        return float(text)
     except ValueError:
-        return np.nan
+        return math.nan
 
 
-def _check_values(path: Path, columns: dict[str, Any], lines: NDArray[np.int64]) -> None:
+def _check_values(path: Path, columns: dict[str, Any], lines: Lines) -> None:
     def refuse(bad: NDArray[np.bool_], name: str, remedy: str) -> None:
         _refuse(path, bad, name, columns[name], lines, remedy)
 
     r = columns["r_mm"]
     refuse(r < 0, "r_mm", "must be 0 or more; radii count from the beam outwards")
     refuse(columns["sd_per_mm2"] <= 0, "sd_per_mm2", "must be above 0; leave it empty where it is unknown")
+    if ("r_lo_mm" in columns) != ("r_hi_mm" in columns):
+        raise InputError(f"{path}: has one of the columns r_lo_mm and r_hi_mm; a bin needs both")
     if "r_lo_mm" in columns:
         lo, hi = columns["r_lo_mm"], columns["r_hi_mm"]
         refuse(lo < 0, "r_lo_mm", "must be 0 or more")
@@ -200,7 +170,7 @@ def _check_values(path: Path, columns: dict[str, Any], lines: NDArray[np.int64])
         columns["side"] = columns["side"].astype(np.int8)
 
 
-def _check_ascending(path: Path, channel: str, part: ChannelSlice, lines: NDArray[np.int64]) -> None:
+def _check_ascending(path: Path, channel: str, part: ChannelSlice, lines: Lines) -> None:
     for side in [None] if part.side is None else [-1, 1]:
         here = slice(None) if part.side is None else part.side == side
         falls = np.append(False, np.diff(part.r_mm[here]) < 0)
@@ -208,16 +178,12 @@ def _check_ascending(path: Path, channel: str, part: ChannelSlice, lines: NDArra
         _refuse(path, falls, "r_mm", part.r_mm[here], lines[here], remedy)
 
 
-def _refuse(path: Path, bad: NDArray[np.bool_], name: str, column: Any, lines: NDArray[np.int64], remedy: str) -> None:
+def _refuse(path: Path, bad: Any, name: str, column: Any, lines: Lines, remedy: str) -> None:
     """InputError for the first bad row, with its line and value."""
     if bad.any():
         at = int(np.argmax(bad))
-        raise InputError(f"{path}: line {lines[at]}: {name} = {shown(column[at].item())} {remedy}")
-
-
-def _repeated(channel: str) -> Iterator[str]:
-    while True:
-        yield channel
+        value = column[at].item() if isinstance(column, np.ndarray) else column[at]
+        raise InputError(f"{path}: line {lines[at]}: {name} = {shown(value)} {remedy}")
 
 
 def _texts(part: ChannelSlice, name: str) -> list[str]:

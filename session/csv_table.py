@@ -1,0 +1,48 @@
+"""CSV tables with a header line, as people write them."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Iterable, Sequence
+from io import StringIO
+from pathlib import Path
+from typing import NamedTuple
+
+from bssrdf.errors import InputError
+from bssrdf.session.checks import known_keys
+
+
+class Table(NamedTuple):
+    """The fields of each row as they stand, as many as the header has, and the line of the file that it stands on."""
+
+    header: list[str]
+    rows: list[list[str]]
+    lines: list[int]
+
+
+def parse_csv(file: Path, content: str, known: Sequence[str], needed: Sequence[str]) -> Table:
+    """The table; InputError for an unknown, missing or repeated column, or a row that is not as long as the header."""
+    try:
+        numbered = [(line, row) for line, row in enumerate(csv.reader(StringIO(content), strict=True), 1) if row]
+    except csv.Error as error:
+        raise InputError(f"{file}: is not a CSV table ({error}); write it anew") from error
+    if not numbered:
+        raise InputError(f"{file}: holds no table; it must begin with the line {','.join(needed)}")
+    header = [name.strip() for name in numbered[0][1]]
+    known_keys(file, "column ", header, known)
+    for name in needed:
+        if name not in header:
+            raise InputError(f"{file}: lacks the column {name}; add it")
+    if len(set(header)) < len(header):
+        raise InputError(f"{file}: the header {','.join(header)} names a column twice; take one out")
+    for line, row in numbered:
+        if len(row) != len(header):
+            raise InputError(f"{file}: line {line} has {len(row)} fields, not {len(header)} as the header; complete it")
+    return Table(header, [row for _, row in numbered[1:]], [line for line, _ in numbered[1:]])
+
+
+def csv_text(rows: Iterable[Iterable[str]]) -> str:
+    """The rows as lines of CSV."""
+    text = StringIO()
+    csv.writer(text, lineterminator="\n").writerows(rows)
+    return text.getvalue()
