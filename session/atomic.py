@@ -75,8 +75,11 @@ def sha256_of(path: Path) -> str:
         raise InputError(f"{path}: cannot be read ({error.strerror or error})") from error
 
 
-def inside(session_path: Path, relative: str) -> Path:
-    """`session_path / relative`, which must stay inside the session after links are resolved; else InputError."""
+def inside(session_path: Path, relative: str, *, named_in: str = "") -> Path:
+    """`session_path / relative`, which must stay inside the session after links are resolved; else InputError.
+
+    `named_in` is the file of the session that names the path.
+    """
     path = session_path / relative
     try:
         is_inside = path.resolve().is_relative_to(session_path.resolve())
@@ -84,6 +87,7 @@ def inside(session_path: Path, relative: str) -> Path:
         is_inside = False
     if not is_inside or Path(relative).is_absolute():
         raise InputError(
-            f"{session_path}: path {relative!r} leads outside the session; copy the file in and name it relatively"
+            f"{session_path / named_in}: path {relative!r} leads outside the session; "
+            "copy the file into the session and name it relatively"
         )
     return path

@@ -137,7 +137,7 @@ def parse_toml(file: Path, document: str) -> dict[str, Any]:
     try:
         return tomllib.loads(document)
     except (ValueError, RecursionError) as error:
-        raise InputError(f"{file}: is not TOML: {shown(str(error))[1:-1]}; put it right there") from error
+        raise InputError(f"{file}: is not TOML: {error}; put it right there") from error
 
 
 def read_text(file: Path) -> str:

@@ -100,7 +100,7 @@ def _parse(session_path: Path, file: Path, content: str) -> list[Frame]:
     ]
     seen: set[str] = set()
     for frame in frames:
-        inside(session_path, frame.file)
+        inside(session_path, frame.file, named_in=file.name)
         if frame.file in seen:
             raise InputError(f"{file}: {frame.file} is listed twice; take one line out")
         seen.add(frame.file)

@@ -27,6 +27,7 @@ from bssrdf.session.checks import (
     text,
     unique,
 )
+from bssrdf.session.frames_csv import write_frames
 from bssrdf.session.records import FORMAT, Beam, Camera, Distortion, Geometry, Material, Reference, Session
 from bssrdf.session.toml_text import toml_table
 
@@ -110,7 +111,7 @@ def read_session(path: Path) -> Session:
     top, own = _read_tables(file, {"calibration": text})
     tables = own
     if "calibration" in top:
-        tables = _merged(read_calibration(inside(path, top["calibration"])), own)
+        tables = _merged(read_calibration(inside(path, top["calibration"], named_in=file.name)), own)
     if "camera" not in tables:
         raise InputError(f"{file}: lacks [camera]; add it (empty is enough where the files are RAW)")
     parts = {name: _record(file, name, values) for name, values in tables.items()}
@@ -146,8 +147,8 @@ def write_template(path: Path, *, force: bool = False) -> None:
     template = files("bssrdf.session").joinpath("template.toml").read_text(encoding="utf-8")
     with atomic_write(file) as part:
         part.write_text(template, encoding="utf-8")
-    with atomic_write(path / "frames.csv") as part:
-        part.write_text("file,kind,exposure_s\n", encoding="utf-8")
+    if not (path / "frames.csv").exists():
+        write_frames(path, [])
 
 
 def _read_tables(file: Path, top_checks: dict[str, Check]) -> tuple[dict[str, Any], Tables]:
