@@ -1,0 +1,182 @@
+"""The curve over the distance from the beam, from pixels that lie on it. Lengths in mm.
+
+A bin holds ∫f r dr/∫r dr over [r_lo, r_hi]. Its pixels are few and lie anywhere in it, so they are compared with a
+smooth curve drawn through all bins, averaged over each pixel's own footprint; the bin's value is that curve's exact
+bin average times the ratio of the sums. So neither the width of a bin nor that of a pixel bends a steep curve.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import PchipInterpolator
+
+Array = NDArray[np.float64]
+
+_GROWTH = 0.04
+"""A bin is this fraction of its radius wide, or one step of the channel's grid."""
+_REJECT_SD = 6.0
+_PASSES = 3
+_NODES = np.polynomial.legendre.leggauss(3)
+
+
+class Points(NamedTuple):
+    """Pixels of one channel on the surface around the beam, arrays of shape (n,)."""
+
+    across: Array
+    along: Array
+    value: Array
+    variance: Array
+    """NaN where unknown."""
+
+
+@dataclass(frozen=True)
+class Profile:
+    """Bins of a curve, arrays of shape (m,), and the smooth curve drawn through them."""
+
+    r_lo: Array
+    r_hi: Array
+    value: Array
+    sd: Array
+    n: NDArray[np.int64]
+    n_rejected: int
+
+    @property
+    def r(self) -> Array:
+        """Radius that stands for a bin: the mean of r over its annulus."""
+        return 2 / 3 * (self.r_hi**3 - self.r_lo**3) / (self.r_hi**2 - self.r_lo**2)
+
+    def curve(self) -> Curve:
+        return Curve(self)
+
+
+class Curve:
+    """Smooth monotone interpolation of a profile: through ln f where f is well above its error, linear elsewhere."""
+
+    def __init__(self, profile: Profile) -> None:
+        r, value = profile.r, profile.value
+        clear = value > 5 * profile.sd
+        n = len(r) if clear.all() else int(np.argmin(clear))
+        self._far = PchipInterpolator(r, value, extrapolate=True) if len(r) > 1 else None
+        self._near = PchipInterpolator(r[:n], np.log(value[:n]), extrapolate=True) if n > 1 else None
+        self._first, self._last = r[0], profile.r_hi[-1]
+        self._switch = -1.0 if n == 0 else self._last if n == len(r) else r[n - 1]
+        self._constant = value[0]
+
+    def __call__(self, r: Array) -> Array:
+        r = np.clip(r, self._first, self._last)
+        if self._far is None:
+            return np.full_like(r, self._constant)
+        if self._near is None:
+            return self._far(r)
+        return np.where(r <= self._switch, np.exp(self._near(np.minimum(r, self._switch))), self._far(r))
+
+
+def bin_edges(step: float, r_max: float) -> Array:
+    """Edges from 0 up to `r_max`, a grid step apart and further out a fixed fraction of the radius."""
+    edges = [0.0, step]
+    while (following := edges[-1] + max(step, _GROWTH * edges[-1])) <= r_max:
+        edges.append(following)
+    return np.array(edges)
+
+
+def profile(points: Points, edges: Array, footprint: tuple[float, float], band: float | None) -> Profile:
+    """Robust bin averages of `points`.
+
+    `footprint` is the width of a pixel across and along; `band` the full width of the slice along the view, None for
+    the whole image. Pixels that stand out of their bin (dust, glints) are left out. The error is the larger of that
+    of the merge and that of the scatter.
+    """
+    r = np.hypot(points.across, points.along)
+    points, r = Points(*(field[r < edges[-1]] for field in points)), r[r < edges[-1]]
+    index = np.searchsorted(edges, r, side="right") - 1
+    weight = _density_weight(r, band)
+    everything = np.ones(len(r), bool)
+    out = _bins(points, edges, index, weight, np.ones(len(r)), np.ones(len(edges) - 1), everything)
+    for _ in range(_PASSES):
+        curve = Curve(out)
+        model = _footprint_mean(curve, points, footprint)
+        keep = _not_outlying(points, model, index, len(edges) - 1)
+        out = _bins(points, edges, index, weight, model, _annulus_mean(curve, edges), keep)
+    return out
+
+
+def _density_weight(r: Array, band: float | None) -> Array:
+    """One over the share of the circle of radius r that lies in the band: makes the mean one in r dr."""
+    if band is None:
+        return np.ones_like(r)
+    return 1 / (2 / np.pi * np.arcsin(np.minimum(1, band / 2 / np.maximum(r, 1e-12))))
+
+
+def _bins(
+    points: Points,
+    edges: Array,
+    index: NDArray[np.int64],
+    weight: Array,
+    model: Array,
+    bin_model: Array,
+    keep: NDArray[np.bool_],
+) -> Profile:
+    n_bins = len(edges) - 1
+
+    def total(x: Array) -> Array:
+        return np.bincount(index[keep], x[keep], n_bins).astype(float)
+
+    n = np.bincount(index[keep], minlength=n_bins)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratio = total(weight * points.value) / total(weight * model)
+        value = ratio * bin_model
+        share = bin_model / total(weight * model)
+        merge_sd = np.sqrt(total(weight**2 * points.variance)) * np.abs(share)
+        residual = points.value - ratio[index] * model
+        scatter_sd = np.sqrt(total((weight * residual) ** 2) * n / np.maximum(n - 1, 1)) * np.abs(share)
+    scatter_sd[n < 3] = np.nan
+    used = n > 0
+    return Profile(
+        edges[:-1][used],
+        edges[1:][used],
+        value[used],
+        np.fmax(merge_sd, scatter_sd)[used],
+        n[used],
+        int((~keep).sum()),
+    )
+
+
+def _footprint_mean(curve: Curve, points: Points, footprint: tuple[float, float]) -> Array:
+    """The curve averaged over each pixel's rectangle, by Gauss–Legendre quadrature."""
+    nodes, weights = _NODES
+    out = np.zeros_like(points.across)
+    for u, weight_u in zip(nodes, weights, strict=True):
+        for v, weight_v in zip(nodes, weights, strict=True):
+            r = np.hypot(points.across + u * footprint[0] / 2, points.along + v * footprint[1] / 2)
+            out += weight_u * weight_v / 4 * curve(r)
+    return out
+
+
+def _annulus_mean(curve: Curve, edges: Array) -> Array:
+    """∫f r dr/∫r dr over each bin."""
+    nodes, weights = _NODES
+    lo, hi = edges[:-1, None], edges[1:, None]
+    r = (hi + lo) / 2 + (hi - lo) / 2 * nodes
+    return (curve(r) * r * weights).sum(1) / (r * weights).sum(1)
+
+
+def _not_outlying(points: Points, model: Array, index: NDArray[np.int64], n_bins: int) -> NDArray[np.bool_]:
+    """Pixels within a few robust standard deviations of the smooth curve, judged bin by bin."""
+    keep = np.ones(len(model), bool)
+    order = np.argsort(index, kind="stable")
+    bounds = np.searchsorted(index[order], np.arange(n_bins + 1))
+    for start, stop in pairwise(bounds):
+        members = order[start:stop]
+        if len(members) < 5:
+            continue
+        residual = points.value[members] - model[members]
+        residual = residual - np.median(residual)
+        scatter = 1.4826 * np.median(np.abs(residual))
+        sd = np.fmax(np.sqrt(points.variance[members]), scatter)
+        keep[members] = np.abs(residual) <= _REJECT_SD * np.maximum(sd, 1e-3 * np.abs(model[members]))
+    return keep

@@ -1,0 +1,180 @@
+"""`measure_session` on sessions made here with plain numpy noise."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import tifffile
+
+from bssrdf.errors import InputError
+from bssrdf.measure.session import measure_session
+from bssrdf.session.frames_csv import write_frames
+from bssrdf.session.hdr_exr import read_hdr_exr
+from bssrdf.session.records import Beam, Camera, Frame, Geometry, Material, Reference, Session
+from bssrdf.session.slice_csv import read_slice
+
+EXPOSURES_S = [0.001 * 4**k for k in range(7)]
+BLACK, WHITE, GAIN, READ_NOISE_E = 500, 16383, 4.0, 3.0
+MM_PER_PX, VIEW_DEG, RHO = 0.05, 45.0, 0.98
+SHAPE = (120, 160)
+
+
+def falloff(r_mm):
+    """A curve [1/mm²] that is known in closed form: two Gaussians and an exponential tail."""
+    return 0.8 * np.exp(-((r_mm / 0.5) ** 2)) + 0.05 * np.exp(-r_mm)
+
+
+def picture(curve, centre=(82.3, 57.6), shape=SHAPE):
+    y, x = np.mgrid[: shape[0], : shape[1]].astype(float)
+    total = np.zeros(shape)
+    for dx in (-1 / 3, 0, 1 / 3):
+        for dy in (-1 / 3, 0, 1 / 3):
+            u = (x + dx - centre[0]) * MM_PER_PX
+            v = (y + dy - centre[1]) * MM_PER_PX / np.cos(np.radians(VIEW_DEG))
+            total += curve(np.hypot(u, v)) / 9
+    return total
+
+
+def tile(r_mm):
+    return RHO * 3.0 * np.exp(-6 * r_mm**2) * 2 / np.pi
+
+
+def write_session(path: Path, *, seed=0, sample=falloff, reference=tile, layout="RGGB", shape=SHAPE, e_per_s=None):
+    rng = np.random.default_rng(seed)
+    (path / "frames").mkdir(parents=True)
+    pictures = {"sample": picture(sample, shape=shape), "reference": picture(reference, (80, 60), shape)}
+    e_per_s = e_per_s or 0.8 * (WHITE - BLACK) * GAIN / EXPOSURES_S[0] / max(p.max() for p in pictures.values())
+    frames = []
+    for kind in ("sample", "reference", "sample_dark", "reference_dark"):
+        light = pictures.get(kind, np.zeros(shape)) * e_per_s
+        for number, exposure_s in enumerate(EXPOSURES_S):
+            electrons = rng.poisson((light + 2.0) * exposure_s) + rng.normal(0, READ_NOISE_E, shape)
+            dn = np.clip(np.rint(electrons / GAIN) + BLACK, 0, WHITE).astype(np.uint16)
+            file = f"frames/{kind}_{number}.tif"
+            tifffile.imwrite(path / file, dn)
+            frames.append(Frame(file, kind, exposure_s))
+    write_frames(path, frames)
+    return Session(
+        path,
+        Camera(layout, BLACK, WHITE, GAIN, READ_NOISE_E),
+        Material("wax", 1.4),
+        Geometry(MM_PER_PX, view_angle_deg=VIEW_DEG),
+        Beam(channels=("633nm",) if layout == "mono" else None),
+        Reference("tile", (RHO,) * 3 if layout != "mono" else (RHO,), (0.0049,) * 3 if layout != "mono" else None),
+    )
+
+
+@pytest.fixture(scope="module")
+def session(tmp_path_factory) -> Session:
+    return write_session(tmp_path_factory.mktemp("measure") / "wax")
+
+
+@pytest.fixture(scope="module")
+def measured(session):
+    return measure_session(session)
+
+
+def area_mm2():
+    return MM_PER_PX**2 / np.cos(np.radians(VIEW_DEG))
+
+
+def true_rd(part):
+    """The bin averages that a perfect measurement would give."""
+    scale = RHO / (picture(tile, (80, 60)).sum() * area_mm2())
+    nodes, weights = np.polynomial.legendre.leggauss(8)
+    r = (part.r_hi_mm + part.r_lo_mm) / 2 + np.outer(nodes, part.r_hi_mm - part.r_lo_mm) / 2
+    return scale * np.sum(weights[:, None] * r * falloff(r), 0) / np.sum(weights[:, None] * r, 0)
+
+
+def test_the_curve_is_the_samples_radiance_over_what_the_beam_carries(measured):
+    for part in measured.slice.channels.values():
+        z = (part.rd_per_mm2 - true_rd(part)) / part.sd_per_mm2
+        assert np.abs(np.mean(z)) < 0.5
+        assert np.mean(z**2) == pytest.approx(1, abs=0.5)
+
+
+def test_the_total_is_the_ratio_of_the_sums(measured):
+    truth = RHO * picture(falloff).sum() / picture(tile, (80, 60)).sum()
+    for channel, total in measured.slice.total_r.items():
+        assert total == pytest.approx(truth, abs=5 * measured.slice.total_r_sd[channel])
+        assert total == pytest.approx(truth, rel=0.01)
+
+
+def test_the_slice_states_what_the_camera_saw(measured):
+    curve = measured.slice
+    assert (curve.flux, curve.exit, curve.view_angle_deg) == ("incident", "fresnel", VIEW_DEG)
+    assert curve.scale_rel_sd == pytest.approx(0.005)
+
+
+def test_the_folder_measured_holds_images_and_slice_that_read_back(session, measured):
+    folder = session.path / "measured"
+    assert sorted(file.name for file in folder.iterdir()) == ["reference.exr", "sample.exr", "slice.csv", "slice.png"]
+    parts, provenance = read_hdr_exr(folder / "sample.exr")
+    np.testing.assert_array_equal(parts["radiance"], measured.images["sample"].radiance)
+    assert len(provenance["sha256"]) == 4 * len(EXPOSURES_S)
+    assert read_slice(folder / "slice.csv").total_r == measured.slice.total_r
+
+
+def test_hdr_only_needs_the_camera_only(session, tmp_path):
+    bare = write_session(tmp_path / "bare")
+    measure_session(Session(bare.path, bare.camera), hdr_only=True)
+    assert sorted(file.name for file in (bare.path / "measured").iterdir()) == ["reference.exr", "sample.exr"]
+
+
+def test_a_monochrome_camera_measures_its_one_named_channel(tmp_path):
+    curve = measure_session(write_session(tmp_path / "mono", layout="mono")).slice
+    assert list(curve.channels) == ["633nm"]
+    truth = RHO * picture(falloff).sum() / picture(tile, (80, 60)).sum()
+    assert curve.total_r["633nm"] == pytest.approx(truth, rel=0.005)
+
+
+def test_the_radial_curve_is_the_same_with_smaller_errors(session, measured):
+    radial = measure_session(session, radial=True).slice.channels["G"]
+    part = measured.slice.channels["G"]
+    assert radial.side is None
+    assert np.median(radial.sd_per_mm2 / true_rd(radial)) < 0.5 * np.median(part.sd_per_mm2 / true_rd(part))
+    np.testing.assert_allclose(radial.rd_per_mm2, true_rd(radial), rtol=0.01)
+
+
+def spoil_size(session):
+    for kind in ("sample", "sample_dark"):
+        tifffile.imwrite(session.path / f"frames/{kind}_3.tif", np.zeros((50, 40), np.uint16))
+
+
+def spoil_saturated(session):
+    for number in range(len(EXPOSURES_S)):
+        tifffile.imwrite(session.path / f"frames/sample_{number}.tif", np.full(SHAPE, WHITE, np.uint16))
+
+
+def spoil_truncated(session):
+    file = session.path / "frames/sample_2.tif"
+    file.write_bytes(file.read_bytes()[:10_000])
+
+
+def spoil_dark(session):
+    lines = (session.path / "frames.csv").read_text().splitlines(keepends=True)
+    (session.path / "frames.csv").write_text("".join(line for line in lines if "sample_dark_4" not in line))
+
+
+def spoil_reference(session):
+    lines = (session.path / "frames.csv").read_text().splitlines(keepends=True)
+    (session.path / "frames.csv").write_text("".join(line for line in lines if ",reference," not in line))
+
+
+@pytest.mark.parametrize(
+    ("spoil", "message"),
+    [
+        (spoil_size, "sample_3.tif"),
+        (spoil_saturated, "sample.*saturated"),
+        (spoil_truncated, "sample_2.tif"),
+        (spoil_dark, r"sample_4.tif: no sample_dark or dark of 0.256 s"),
+        (spoil_reference, "no frame of kind reference"),
+    ],
+)
+def test_bad_frames_give_one_line_and_leave_nothing_behind(tmp_path, spoil, message):
+    session = write_session(tmp_path / "bad")
+    spoil(session)
+    with pytest.raises(InputError, match=message) as error:
+        measure_session(session)
+    assert "\n" not in str(error.value)
+    assert not (session.path / "measured").exists()
