@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from bssrdf.errors import InputError
+from bssrdf.transport.discrete_ordinates import decay_constant
 from bssrdf.transport.exit_radiance import MAX_ANGLE_DEG, N_MU, angle_weights
 from bssrdf.transport.photon import stream_states
 from bssrdf.transport.walk import walk
@@ -97,7 +98,7 @@ class Tally:
     n_photons: int
     steps: int
     lost: float
-    """Share of photons given up after a million scatterings: > 0 only near σa = 0 in a half space."""
+    """Share of light given up after a million scatterings: > 0 only near σa = 0 in a half space."""
     interrupted: bool
     """Stopped by Ctrl-C: the batches finished until then are here."""
 
@@ -183,7 +184,7 @@ def simulate(
         paths_mm=np.stack([paths for _, paths, _ in done]) / per_batch,
         n_photons=per_batch * len(done),
         steps=sum(int(counts[0]) for _, _, counts in done),
-        lost=sum(int(counts[2]) for _, _, counts in done) / (per_batch * len(done)),
+        lost=sum(counts[2] for _, _, counts in done) / (per_batch * len(done)),
         interrupted=interrupted,
     )
 
@@ -228,12 +229,12 @@ def _batch(
     n_photons: int,
     state: NDArray[np.uint64],
     stop: threading.Event,
-) -> tuple[Floats, Floats, NDArray[np.int64]] | None:
+) -> tuple[Floats, Floats, Floats] | None:
     """Scores, paths [mm] and counts of one stream; None if stopped before its end."""
     sigma_t = medium.sigma_t
     scores = np.zeros((2, 3, edges_mm.size, N_MU))
     paths = np.zeros((2, edges_mm.size))
-    counts = np.zeros(3, np.int64)
+    counts = np.zeros(3)
     depth = math.inf if medium.thickness_mm is None else medium.thickness_mm * sigma_t
     for start in range(0, n_photons, CHUNK):
         if stop.is_set():
@@ -247,6 +248,7 @@ def _batch(
             depth,
             beam.radius_mm * sigma_t,
             math.sin(math.radians(beam.incidence_deg)),
+            decay_constant(medium.sigma_s / sigma_t, medium.g),
             edges_mm * sigma_t,
             scores,
             paths,
