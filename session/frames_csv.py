@@ -110,8 +110,8 @@ def _parse(session_path: Path, file: Path, content: str) -> list[Frame]:
 def _frame(file: Path, line: int, fields_of_row: dict[str, str]) -> Frame:
     where = f"{file}: line {line}: "
     values = {name: text.strip() for name, text in fields_of_row.items()}
-    if not values["file"]:
-        raise InputError(f"{where}names no file; write its path relative to the session")
+    if not values["file"] or not values["file"].isprintable():
+        raise InputError(f"{where}file {shown(values['file'])} must be a path relative to the session")
     kind = values["kind"]
     if kind not in KINDS:
         raise InputError(f"{where}kind {shown(kind)} is not known; it must be one of {', '.join(KINDS)}")

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from bssrdf.errors import InputError
 from bssrdf.session.atomic import atomic_write
+from bssrdf.session.checks import shown
 
 PARTS = ("radiance", "variance", "count", "mask")
 _PROVENANCE = "bssrdf:provenance"
@@ -60,8 +61,9 @@ def read_linear_image(path: Path) -> Plane:
     try:
         rgb = [image.channel_names.index(channel) for channel in "RGB"]
     except ValueError as error:
-        names = ", ".join(image.channel_names)
-        raise InputError(f"{path}: has the channels {names}; save one channel, or R, G and B") from error
+        raise InputError(
+            f"{path}: has the channels {shown(image.channel_names)}; save one channel, or R, G and B"
+        ) from error
     return np.ascontiguousarray(image.data[:, :, rgb])
 
 

@@ -174,7 +174,7 @@ def _check_ascending(path: Path, channel: str, part: ChannelSlice, lines: Lines)
     for side in [None] if part.side is None else [-1, 1]:
         here = slice(None) if part.side is None else part.side == side
         falls = np.append(False, np.diff(part.r_mm[here]) < 0)
-        remedy = f"comes after a larger one in channel {channel}; sort the rows by radius"
+        remedy = f"comes after a larger one in channel {shown(channel)}; sort the rows by radius"
         _refuse(path, falls, "r_mm", part.r_mm[here], lines[here], remedy)
 
 

@@ -8,7 +8,7 @@ from dataclasses import fields
 from pathlib import Path
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from bssrdf.errors import InputError, UsageError
@@ -105,6 +105,7 @@ VALUES = st.recursive(
 )
 
 
+@settings(max_examples=50, deadline=None)
 @given(st.dictionaries(TEXTS, VALUES, max_size=4))
 def test_toml_text_is_read_back(values: dict[str, object]) -> None:
     assert tomllib.loads(toml_table(values)) == values

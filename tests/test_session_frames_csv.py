@@ -1,0 +1,133 @@
+"""frames.csv as a table and as a journal, and what file names say."""
+
+from __future__ import annotations
+
+import string
+from pathlib import Path
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from bssrdf.errors import InputError
+from bssrdf.session.file_names import exposure_from_name
+from bssrdf.session.frames_csv import KINDS, append_frame, dark_for, read_frames, recover_frames, write_frames
+from bssrdf.session.records import Frame
+
+FULL = Frame("frames/a, b.tif", "sample", 0.1, 0.1000017, "2001-08-12T10:00:00Z", "0f" * 32)
+SHORT = Frame("frames/c.tif", "sample_dark", 1 / 3)
+EXPOSURES = st.floats(1e-6, 1e4)
+FRAMES = st.lists(
+    st.builds(
+        Frame,
+        file=st.text(string.ascii_letters + ' ,"', min_size=1).map(lambda name: f"frames/{name}.tif"),
+        kind=st.sampled_from(KINDS),
+        exposure_s=EXPOSURES,
+        exposure_measured_s=st.none() | EXPOSURES,
+        utc=st.none() | st.just("2001-08-12T10:00:00+00:00"),
+        sha256=st.none() | st.just("ab" * 32),
+    ),
+    min_size=1,
+    max_size=5,
+    unique_by=lambda frame: frame.file,
+)
+
+
+@settings(max_examples=50, deadline=None)
+@given(frames=FRAMES)
+def test_written_frames_are_read_back(tmp_path_factory: pytest.TempPathFactory, frames: list[Frame]) -> None:
+    session = tmp_path_factory.mktemp("s")
+    write_frames(session, frames)
+    assert read_frames(session, must_exist=False) == frames
+    assert [file.name for file in session.iterdir()] == ["frames.csv"]
+
+
+def test_columns_that_no_frame_fills_are_left_out(tmp_path: Path) -> None:
+    write_frames(tmp_path, [SHORT])
+    assert (tmp_path / "frames.csv").read_text() == f"file,kind,exposure_s\nframes/c.tif,sample_dark,{1 / 3!r}\n"
+
+
+def test_journal_only_grows(tmp_path: Path) -> None:
+    written = ""
+    for frame in (FULL, SHORT):
+        append_frame(tmp_path, frame)
+        content = (tmp_path / "frames.csv").read_text()
+        assert content.startswith(written)
+        assert content.endswith("\n")
+        written = content
+    assert read_frames(tmp_path, must_exist=False) == [FULL, SHORT]
+
+
+def test_frame_is_appended_in_the_columns_of_a_table_by_hand(tmp_path: Path) -> None:
+    (tmp_path / "frames.csv").write_text("exposure_s,file,kind\n1,frames/a.tif,sample\n")
+    append_frame(tmp_path, SHORT)
+    assert recover_frames(tmp_path)[1] == SHORT
+    with pytest.raises(InputError, match="no column exposure_measured_s"):
+        append_frame(tmp_path, FULL)
+
+
+def test_recovery_after_a_cut_anywhere_keeps_the_finished_lines(tmp_path: Path) -> None:
+    append_frame(tmp_path, FULL)
+    append_frame(tmp_path, SHORT)
+    content = (tmp_path / "frames.csv").read_bytes()
+    ends = [i + 1 for i, byte in enumerate(content) if byte == ord("\n")]
+    for cut in range(len(content) + 1):
+        (tmp_path / "frames.csv").write_bytes(content[:cut])
+        finished = [FULL, SHORT][: max(sum(end <= cut for end in ends) - 1, 0)]
+        assert recover_frames(tmp_path) == finished
+        append_frame(tmp_path, Frame("frames/next.tif", "sample", 1.0))
+        assert [frame.file for frame in recover_frames(tmp_path)] == [*(f.file for f in finished), "frames/next.tif"]
+
+
+def test_nothing_is_appended_to_an_unfinished_line(tmp_path: Path) -> None:
+    (tmp_path / "frames.csv").write_text("file,kind,exposure_s\nframes/a.tif,sample,0.")
+    with pytest.raises(InputError, match="not finished"):
+        append_frame(tmp_path, SHORT)
+
+
+def test_recovery_without_a_journal_is_empty(tmp_path: Path) -> None:
+    assert recover_frames(tmp_path) == []
+
+
+def test_table_from_a_spreadsheet_is_read(tmp_path: Path) -> None:
+    (tmp_path / "a.tif").touch()
+    (tmp_path / "frames.csv").write_bytes(b"\xef\xbb\xbffile, kind, exposure_s\r\na.tif, sample, 0.5\r\n\r\n")
+    assert read_frames(tmp_path) == [Frame("a.tif", "sample", 0.5)]
+
+
+def test_link_that_stays_inside_is_followed(tmp_path: Path) -> None:
+    (tmp_path / "real.tif").touch()
+    (tmp_path / "link.tif").symlink_to(tmp_path / "real.tif")
+    (tmp_path / "frames.csv").write_text("file,kind,exposure_s\nlink.tif,sample,1\n")
+    assert read_frames(tmp_path)[0].file == "link.tif"
+
+
+def test_dark_is_of_the_frames_own_kind_and_exposure() -> None:
+    sample, reference = Frame("s.tif", "sample", 0.25), Frame("r.tif", "reference", 0.25)
+    own = [Frame(f"d{i}.tif", "sample_dark", exposure) for i, exposure in enumerate((0.25, 0.2502, 0.2498))]
+    shared = Frame("e.tif", "dark", 0.25)
+    others = [Frame("f.tif", "sample_dark", 0.2506), Frame("g.tif", "flat_dark", 0.25), Frame("h.tif", "dark", 0.5)]
+    frames = [sample, reference, *own, shared, *others]
+    assert dark_for(sample, frames) == own
+    assert dark_for(reference, frames) == [shared]
+
+
+@pytest.mark.parametrize(
+    ("name", "exposure_s"),
+    [
+        ("d1_disks32cmV2_450nm_25ms_2019-02-08-174802-0004.tif", 0.025),
+        ("sample_0.25s_001.dng", 0.25),
+        ("sample_0.25s.dng", 0.25),
+        ("sample-3916ms.tif", 3.916),
+        ("4s.tif", 4.0),
+        ("1.5ms", 0.0015),
+        ("IMG_0001.CR2", None),
+        ("sample_10ms_20ms.tif", None),
+        ("sample_0ms.tif", None),
+        ("sample_5samples.tif", None),
+        ("lens50s.tif", None),
+        ("v2.5ms.tif", None),
+    ],
+)
+def test_exposure_in_a_file_name(name: str, exposure_s: float | None) -> None:
+    assert exposure_from_name(name) == exposure_s
