@@ -28,6 +28,7 @@ SATURATED, HOT, NO_DATA = 1, 2, 4
 
 _ROWS = 32
 _READERS = 2
+_MEDIAN_ROWS = 64
 _FEW_ELECTRONS = 100.0
 """Below this many electrons in all exposures the variance is predicted from the pixel's neighbourhood."""
 
@@ -151,9 +152,10 @@ def _reweighted_sum(samples: Iterator[tuple[Shot, Sample]], sensor: Sensor, expe
     weighted, weight = np.zeros_like(expected), np.zeros_like(expected)
     for shot, sample in samples:
         t = np.float32(shot.exposure_s)
+        shot_noise, darkness = t / np.float32(sensor.gain_e_per_dn), _darkness_variance(sample, sensor)
         for rows in _tiles(len(sample.raw)):
             good = sample.raw[rows] < sensor.saturation_dn
-            w = good * t / _variance(sample, rows, t, sensor, expected[rows])
+            w = good * t / (expected[rows] * shot_noise + darkness)
             weighted[rows] += w * (sample.raw[rows] - sample.dark[rows].astype(np.float32))
             weight[rows] += w * t
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -167,21 +169,25 @@ def _poisson_variance(samples: Iterator[tuple[Shot, Sample]], sensor: Sensor, ra
     """Variance of the Poisson sum of `seconds` Σt, each sample's being that of `radiance` [DN/s]."""
     variance = np.zeros_like(radiance)
     for shot, sample in samples:
-        t = np.float32(shot.exposure_s)
+        shot_noise = np.float32(shot.exposure_s / sensor.gain_e_per_dn)
+        darkness = _darkness_variance(sample, sensor)
         for rows in _tiles(len(sample.raw)):
             good = sample.raw[rows] < sensor.saturation_dn
-            variance[rows] += good * _variance(sample, rows, t, sensor, np.maximum(radiance[rows], 0))
+            variance[rows] += good * (np.maximum(radiance[rows], 0) * shot_noise + darkness)
     with np.errstate(divide="ignore", invalid="ignore"):
         variance /= seconds**2
     return variance
 
 
-def _variance(sample: Sample, rows: slice, t: np.float32, sensor: Sensor, radiance: Plane) -> Plane:
-    """Variance [DN²] of the samples x − d in some rows: shot noise of light and dark signal, read noise of both."""
-    gain = np.float32(sensor.gain_e_per_dn)
-    dark_signal = np.maximum(sample.dark[rows] - np.float32(sensor.black_dn), 0)
-    dark_var = dark_signal / gain + np.float32(sensor.read_var_dn())
-    return (radiance * (t / gain) + dark_var * np.float32(1 + 1 / sample.n_darks)).astype(np.float32, copy=False)
+def _darkness_variance(sample: Sample, sensor: Sensor) -> np.float32:
+    """Variance [DN²] of x − d without light: read noise and the shot noise of the dark signal, of both frames.
+
+    The dark signal is the frame's median. Weights that followed the noise of d pixel by pixel would favour low darks:
+    in darkness the radiance would come out too high.
+    """
+    thin = max(1, sample.dark.shape[0] // _MEDIAN_ROWS)
+    dark_signal = max(float(np.median(sample.dark[::thin])) - sensor.black_dn, 0.0)
+    return np.float32((dark_signal / sensor.gain_e_per_dn + sensor.read_var_dn()) * (1 + 1 / sample.n_darks))
 
 
 def _expected_radiance(radiance: Plane, seconds: Plane, sensor: Sensor, period: int) -> Plane:
