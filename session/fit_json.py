@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, get_args
 
-from bssrdf.errors import InputError
+from bssrdf.errors import BssrdfError, InputError
 from bssrdf.session.atomic import atomic_write
 from bssrdf.session.checks import check_format, read_text, shown
 from bssrdf.session.records import FORMAT, ChannelFit, Fit, Status
@@ -64,6 +64,16 @@ def fit_to_dict(fit: Fit) -> dict[str, Any]:
 def fit_line(fit: Fit) -> str:
     """The fit as one compact line of JSON."""
     return json.dumps(fit_to_dict(fit), ensure_ascii=False, allow_nan=False, separators=(",", ":"))
+
+
+def failure_line(path: Path, error: BssrdfError) -> str:
+    """What stands in the place of a fit whose input failed."""
+    document = {
+        "format": FORMAT,
+        "input": {"path": str(path)},
+        "error": {"code": error.exit_code, "message": str(error)},
+    }
+    return json.dumps(document, ensure_ascii=False, separators=(",", ":"))
 
 
 def write_fit(path: Path, fit: Fit) -> None:

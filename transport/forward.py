@@ -63,7 +63,7 @@ class DipoleModel(NamedTuple):
 
     @property
     def q_max(self) -> float:
-        return 1.7  # α′ = 0.04
+        return 1.73  # α′ = 0.002
 
     @property
     def window_mfp(self) -> tuple[float, float]:

@@ -1,0 +1,5 @@
+"""`python -m bssrdf`."""
+
+from bssrdf.cli import main
+
+main()

@@ -1,0 +1,103 @@
+"""A slice's channels as padded arrays in the models' own convention (flux entering, exit over the hemisphere).
+
+Lengths in mm, R_d in 1/mm². b is the number of curves, n the padded number of radii.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from bssrdf.session.records import ChannelSlice, Slice
+from bssrdf.transport.convention import camera_factor
+
+BUCKETS = (64, 128, 256, 512, 1024, 2048, 4096, 8192, 16384)
+
+
+class Curves(NamedTuple):
+    """A batch of curves; a radius with weight 0 does not count, and padding has weight 0."""
+
+    r_lo: Float[Array, " b n"]
+    r_hi: Float[Array, " b n"]
+    """Equal to `r_lo` where the value belongs to a radius and not to an annulus."""
+    rd: Float[Array, " b n"]
+    weight: Float[Array, " b n"]
+    """1/sd; NaN where the sd is unknown."""
+    total_r: Float[Array, " b"]
+    """NaN where it was not measured."""
+    total_r_sd: Float[Array, " b"]
+    window: Float[Array, "b 2"]
+    """Radii that may be used at all [mm]."""
+    n: Int[Array, " b"]
+
+
+class Convention(NamedTuple):
+    """What turns the slice's numbers into the models': value / `factor`."""
+
+    factor: float
+
+
+def convention_of(piece: Slice) -> Convention:
+    """The factor between R_d as the slice has it and per entering flux over the hemisphere."""
+    return Convention(
+        camera_factor(
+            piece.eta,
+            flux=piece.flux,
+            exit=piece.exit,
+            view_angle_deg=piece.view_angle_deg,
+            incidence_deg=piece.incidence_deg,
+        )
+    )
+
+
+def bucket_of(n: int) -> int:
+    """The padded length for n radii, so that a kernel is compiled for a few shapes only."""
+    return next((size for size in BUCKETS if size >= n), n)
+
+
+def stack(
+    pieces: Sequence[tuple[Slice, str]],
+    *,
+    scale_free: bool = False,
+    window_mm: tuple[float, float] | None = None,
+) -> Curves:
+    """Pad the named channels of the slices to one length and convert them to entering flux and the hemisphere."""
+    width = bucket_of(max(len(piece.channels[name].r_mm) for piece, name in pieces))
+    rows = [_row(piece, name, width, scale_free, window_mm) for piece, name in pieces]
+    return Curves(*(np.stack([getattr(row, key) for row in rows]) for key in Curves._fields))
+
+
+def _row(piece: Slice, name: str, width: int, scale_free: bool, window_mm: tuple[float, float] | None) -> Curves:
+    channel = piece.channels[name]
+    factor = convention_of(piece).factor
+    r_lo, r_hi = _edges(channel)
+    n = len(channel.r_mm)
+    weight = np.where(channel.sd_per_mm2 > 0, factor / np.where(channel.sd_per_mm2 > 0, channel.sd_per_mm2, 1), np.nan)
+    return Curves(
+        r_lo=_pad(r_lo, width, float(r_hi[-1])),
+        r_hi=_pad(r_hi, width, float(r_hi[-1])),
+        rd=_pad(channel.rd_per_mm2 / factor, width, 0.0),
+        weight=_pad(_common_unknown(weight), width, 0.0),
+        total_r=np.asarray(piece.total_r.get(name, np.nan) / factor),
+        total_r_sd=np.asarray(piece.total_r_sd.get(name, np.nan) / factor),
+        window=np.asarray(window_mm if window_mm else (0.0, np.inf)),
+        n=np.asarray(n),
+    )
+
+
+def _common_unknown(weight: np.ndarray) -> np.ndarray:
+    """Errors known for some radii only cannot weigh them against the others: then none is known."""
+    return np.full_like(weight, np.nan) if np.isnan(weight).any() else weight
+
+
+def _edges(channel: ChannelSlice) -> tuple[np.ndarray, np.ndarray]:
+    if channel.r_lo_mm is None or channel.r_hi_mm is None:
+        return channel.r_mm, channel.r_mm
+    return channel.r_lo_mm, channel.r_hi_mm
+
+
+def _pad(values: np.ndarray, width: int, fill: float) -> np.ndarray:
+    return np.concatenate([values, np.full(width - len(values), fill)])

@@ -1,0 +1,15 @@
+"""Every flag a fit can carry, with what it means; docs/flags.md lists them for the reader."""
+
+from __future__ import annotations
+
+MEANING = {
+    "albedo_one": "R is 1 within its error: σa is an upper bound.",
+    "few_radii": "Fewer than 5 radii lie in the window: nothing was fitted.",
+    "not_converged": "The search did not come to rest.",
+    "poor_fit": "The curve departs from the model by more than its errors allow (χ² or runs of one sign).",
+    "sd_unknown": "The curve came without errors: they were taken as equal relative ones, from its own scatter.",
+    "single_scattering": "Single scattering dominates (α′ < 0.5): the dipole does not hold.",
+    "total_at_limit": "R lies beyond what the model can reach.",
+    "total_unknown": "R was not measured: the fit is free and badly conditioned.",
+    "window_short": "The curve ends before 1/σtr: σa rests on R alone.",
+}

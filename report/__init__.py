@@ -1,0 +1,1 @@
+"""What people read: the material table, a fit in words, figures, progress."""

@@ -1,0 +1,39 @@
+"""A fit in words and numbers, for a person at a terminal."""
+
+from __future__ import annotations
+
+import math
+
+from bssrdf.fit.flags import MEANING
+from bssrdf.session.records import ChannelFit, Fit
+
+
+def fit_text(fit: Fit) -> str:
+    """One line a channel, then each flag once with what it means."""
+    head = f"{fit.material or fit.input_path}  (η {fit.eta:g}{'' if fit.g is None else f', g {fit.g:g}'})"
+    lines = [head, *(f"  {name:<6} {_channel(channel)}" for name, channel in fit.channels.items())]
+    flags = {flag: [n for n, channel in fit.channels.items() if flag in channel.flags] for flag in MEANING}
+    lines += [f"  {', '.join(names)}: {flag}: {MEANING[flag]}" for flag, names in flags.items() if names]
+    return "\n".join(lines)
+
+
+def _channel(channel: ChannelFit) -> str:
+    if channel.status in ("unidentifiable", "failed"):
+        return f"{channel.status} ({channel.model}, {channel.n} radii)"
+    sigma_sp = f"σs′ {_with_error(channel.sigma_sp_per_mm, channel.sigma_sp_sd_per_mm)}/mm"
+    if channel.status == "upper_bound":
+        sigma_a = f"σa < {channel.sigma_a_interval95_per_mm[1]:.2g}/mm (95 %)"
+    else:
+        sigma_a = f"σa {_with_error(channel.sigma_a_per_mm, channel.sigma_a_sd_per_mm)}/mm"
+    model_error = "".join(f", model {100 * error:.0f} % in {name}" for name, error in channel.model_error.items())
+    chi2 = "" if math.isnan(channel.chi2_reduced) else f"  χ² {channel.chi2_reduced:.2f}"
+    lo, hi = channel.window_mm
+    return f"{sigma_sp}  {sigma_a}  R {channel.total_r_model:.3f}  {lo:.2g}–{hi:.3g} mm{chi2}  [{channel.model}{model_error}]"
+
+
+def _with_error(value: float, sd: float) -> str:
+    """Value and standard deviation to the digits that the deviation carries."""
+    if not (math.isfinite(sd) and sd > 0):
+        return f"{value:.3g}"
+    digits = max(1 - math.floor(math.log10(sd)), 0)
+    return f"{value:.{digits}f} ± {sd:.{digits}f}"

@@ -1,0 +1,17 @@
+"""What `bssrdf measure` found, in words."""
+
+from __future__ import annotations
+
+from bssrdf.measure.session import Measured
+
+
+def measured_text(measured: Measured) -> str:
+    """The images made; with a slice, R and the extent of the curve by channel, and the flags."""
+    lines = [f"merged {kind}: {' × '.join(map(str, hdr.radiance.shape))}" for kind, hdr in measured.images.items()]
+    if measured.slice is not None:
+        for name, channel in measured.slice.channels.items():
+            total_r, sd = measured.slice.total_r[name], measured.slice.total_r_sd[name]
+            reach = f"{channel.r_mm[0]:.2g}–{channel.r_mm[-1]:.3g} mm"
+            lines.append(f"{name}: R {total_r:.4f} ± {sd:.4f} as the camera saw it, {len(channel.r_mm)} radii, {reach}")
+        lines += [f"flag: {flag}" for flag in measured.slice.flags]
+    return "\n".join(lines)

@@ -1,0 +1,87 @@
+"""The material table (Jensen et al. 2001, Fig. 5b): from fits, or the published one checked against itself."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from collections.abc import Sequence
+from typing import Any, Literal
+
+from bssrdf.session.records import Fit
+from bssrdf.transport.materials import load_materials, table_check, table_source
+
+Format = Literal["md", "csv", "json", "latex"]
+Row = dict[str, Any]
+
+
+def published_table(form: Format) -> str:
+    """The 36 published cells, the total R that each one's coefficients give, and the difference."""
+    materials = load_materials()
+    rows: list[Row] = []
+    for cell in table_check():
+        medium = materials[cell.name].medium(cell.channel)
+        rows.append(
+            {
+                "material": cell.name,
+                "channel": cell.channel,
+                "sigma_sp_per_mm": medium.sigma_sp,
+                "sigma_a_per_mm": medium.sigma_a,
+                "eta": medium.eta,
+                "r_published": cell.published,
+                "r_computed": round(cell.computed, 4),
+                "difference": round(cell.difference, 4),
+            }
+        )
+    return format_rows(rows, form, note=table_source())
+
+
+def fits_table(fits: Sequence[Fit], form: Format) -> str:
+    """One row a channel of each fit."""
+    rows: list[Row] = [
+        {
+            "material": fit.material or fit.input_path,
+            "channel": name,
+            "sigma_sp_per_mm": _digits(channel.sigma_sp_per_mm),
+            "sigma_sp_sd_per_mm": _digits(channel.sigma_sp_sd_per_mm, 2),
+            "sigma_a_per_mm": _digits(channel.sigma_a_per_mm),
+            "sigma_a_sd_per_mm": _digits(channel.sigma_a_sd_per_mm, 2),
+            "eta": fit.eta,
+            "g": fit.g,
+            "r": _digits(channel.total_r_model),
+            "model": channel.model,
+            "status": channel.status,
+            "flags": " ".join(channel.flags),
+        }
+        for fit in fits
+        for name, channel in fit.channels.items()
+    ]
+    return format_rows(rows, form)
+
+
+def format_rows(rows: Sequence[Row], form: Format, note: str = "") -> str:
+    """The rows, all with the same keys, as Markdown, CSV, JSON or a LaTeX tabular; `note` goes where prose can stand."""
+    if form == "json":
+        return json.dumps(list(rows), ensure_ascii=False, indent=1)
+    head = list(rows[0])
+    cells = [["" if row[key] is None else str(row[key]) for key in head] for row in rows]
+    if form == "csv":
+        text = io.StringIO()
+        csv.writer(text, lineterminator="\n").writerows([head, *cells])
+        return text.getvalue().rstrip("\n")
+    if form == "latex":
+        body = [" & ".join(_latex(cell) for cell in line) + r" \\" for line in [head, *cells]]
+        return "\n".join([rf"\begin{{tabular}}{{{'l' * len(head)}}}", body[0], r"\hline", *body[1:], r"\end{tabular}"])
+    widths = [max(len(line[i]) for line in [head, *cells]) for i in range(len(head))]
+    lines = [" | ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)) for line in [head, *cells]]
+    rule = "|".join("-" * (width + 2) for width in widths)
+    table = "\n".join([f"| {lines[0]} |", f"|{rule}|", *(f"| {line} |" for line in lines[1:])])
+    return f"{table}\n\n{note}" if note else table
+
+
+def _digits(value: float, digits: int = 4) -> float | None:
+    return None if value != value else float(f"{value:.{digits}g}")
+
+
+def _latex(cell: str) -> str:
+    return cell.replace("_", r"\_").replace("%", r"\%")

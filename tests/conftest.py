@@ -1,0 +1,32 @@
+"""What all tests share: JAX checks that ranks are broadcast on purpose, and the data that lie beside the checkout."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import jax
+import pytest
+
+SHARED = Path(__file__).resolve().parents[2] / "shared" / "data"
+
+
+@pytest.fixture(autouse=True)
+def _ranks_are_broadcast_on_purpose() -> Iterator[None]:
+    with jax.numpy_rank_promotion("raise"):
+        yield
+
+
+@pytest.fixture
+def x64() -> Iterator[None]:
+    """Double precision for this test."""
+    with jax.enable_x64(True):
+        yield
+
+
+@pytest.fixture(scope="session")
+def shared_data() -> Path:
+    """Real and independent data beside the checkout; the test is skipped where they are absent."""
+    if not SHARED.is_dir():
+        pytest.skip("the shared data folder does not lie beside this checkout")
+    return SHARED

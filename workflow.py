@@ -1,0 +1,81 @@
+"""The steps on files: find what a path stands for, read it, call one stage, write what came out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import bssrdf
+from bssrdf.errors import BssrdfError, InputError
+from bssrdf.fit.run import FitOptions, fit_slices
+from bssrdf.session.atomic import sha256_of
+from bssrdf.session.fit_json import read_fit, write_fit
+from bssrdf.session.records import Fit, Slice
+from bssrdf.session.slice_csv import read_slice
+
+
+def slice_file(path: Path) -> Path:
+    """The slice that a session folder, or a slice's own path, stands for."""
+    return path / "measured" / "slice.csv" if path.is_dir() else path
+
+
+def fit_files(
+    inputs: Sequence[Path], options: FitOptions, keys: Mapping[str, Any], *, out: Path | None = None
+) -> list[Fit | BssrdfError]:
+    """Fit sessions and slices in one batch; a session's fit is also written to its fit.json, or to `out`.
+
+    `keys` are header keys of slice.csv that win over the file's. An input that fails gives its error in its place, and
+    the others are fitted all the same.
+    """
+    read = [_caught(lambda path=path: _read(path, keys)) for path in inputs]
+    slices = [piece for piece in read if isinstance(piece, Slice)]
+    fitted = iter(fit_slices(slices, options))
+    outcomes: list[Fit | BssrdfError] = []
+    for path, piece in zip(inputs, read, strict=True):
+        if isinstance(piece, BssrdfError):
+            outcomes.append(piece)
+            continue
+        fit = Fit(
+            version=bssrdf.__version__,
+            input_path=str(slice_file(path)),
+            input_sha256=sha256_of(slice_file(path)),
+            options={name: value for name, value in asdict(options).items() if value is not None} | dict(keys),
+            material=piece.material,
+            eta=piece.eta,
+            g=piece.g,
+            channels=next(fitted),
+        )
+        target = out or (path / "fit.json" if path.is_dir() else None)
+        if target is not None:
+            write_fit(target, fit)
+        outcomes.append(fit)
+    return outcomes
+
+
+def read_fits(paths: Sequence[Path]) -> list[Fit]:
+    """The fits that session folders or fit.json files stand for."""
+    return [read_fit(path / "fit.json" if path.is_dir() else path) for path in paths]
+
+
+def stale(fit: Fit) -> str | None:
+    """A warning where the fit's input is gone or has changed since."""
+    source = Path(fit.input_path)
+    if source.exists() and sha256_of(source) != fit.input_sha256:
+        return f"{source}: has changed since it was fitted; run the fit again"
+    return None
+
+
+def _read(path: Path, keys: Mapping[str, Any]) -> Slice:
+    source = slice_file(path)
+    if path.is_dir() and not source.exists():
+        raise InputError(f"{path}: has no measured/slice.csv; run `bssrdf measure {path}` first")
+    return read_slice(source, **keys)
+
+
+def _caught(call: Callable[[], Slice]) -> Slice | BssrdfError:
+    try:
+        return call()
+    except BssrdfError as error:
+        return error
