@@ -15,6 +15,8 @@ RAW_SUFFIXES = (
     *(".3fr", ".arw", ".cr2", ".cr3", ".crw", ".dcr", ".dng", ".erf", ".fff", ".iiq", ".kdc", ".mef", ".mos", ".mrw"),
     *(".nef", ".nrw", ".orf", ".pef", ".raf", ".raw", ".rw2", ".rwl", ".sr2", ".srf", ".srw", ".x3f"),
 )
+_PLAIN_TIFF = (".dng", ".cr2", ".nef")
+"""RAW whose tables can be trusted to say where the pixels end."""
 IMAGE_SUFFIXES = (".tif", ".tiff", ".exr", ".hdr")
 
 
@@ -27,7 +29,7 @@ class RawFrame:
     layout: str | None = None
     """2×2 colour filter pattern at the first pixel, "mono" or "rgb"; None where the file does not tell."""
     black: float | NDArray[np.float64] | None = None
-    """[DN]; of a RAW file (2, 2), by place in the pattern."""
+    """[DN]; of a RAW mosaic (2, 2), by place in the pattern."""
     white: float | None = None
     """[DN]"""
     exposure_s: float | None = None
@@ -46,9 +48,9 @@ def read_frame_file(path: Path) -> RawFrame:
 
 
 def _read_image(path: Path) -> RawFrame:
-    from bssrdf.session.oiio_file import read_images
+    from bssrdf.session.oiio_file import read_image
 
-    image = read_images(path)[0]
+    image = read_image(path)
     channels = image.data.shape[2]
     if channels not in (1, 3):
         raise InputError(f"{path}: has {channels} channels; save one (mosaic or mono) or three (RGB)")
@@ -66,12 +68,13 @@ def _read_raw(path: Path) -> RawFrame:
     from bssrdf.session.oiio_file import file_attributes
     from bssrdf.session.tiff_extent import check_tiff_extent
 
-    check_tiff_extent(path)
+    if path.suffix.lower() in _PLAIN_TIFF:
+        check_tiff_extent(path)
     camera = file_attributes(path).get("Model")
     try:
         with rawpy.imread(str(path)) as raw:
             return _raw_frame(path, raw, camera)
-    except (rawpy.LibRawError, rawpy.NotSupportedError, OSError, ValueError, MemoryError) as error:
+    except (rawpy.LibRawError, rawpy.NotSupportedError, OSError, ValueError, IndexError, MemoryError) as error:
         reason = error.args[0] if error.args else error
         reason = reason.decode(errors="replace") if isinstance(reason, bytes) else reason
         raise InputError(f"{path}: cannot be read as RAW ({reason}); copy or take the file again") from error
@@ -79,21 +82,28 @@ def _read_raw(path: Path) -> RawFrame:
 
 def _raw_frame(path: Path, raw: Any, camera: str | None) -> RawFrame:
     """Everything copied out: rawpy's own arrays are gone with its file."""
-    if raw.raw_pattern is None:
-        raise InputError(f"{path}: is no mosaic but a stack of planes (Foveon, sRAW, linear DNG); save full RAW")
-    if raw.raw_pattern.shape != (2, 2):
-        raise InputError(f"{path}: has an X-Trans pattern, which is not read; use a camera with a 2x2 pattern")
-    corner = raw.raw_colors_visible[:2, :2].copy()
-    if corner.shape != (2, 2):
-        raise InputError(f"{path}: has no visible area; copy or take the file again")
+    layout, black = _mosaic(path, raw)
     return RawFrame(
         data=raw.raw_image_visible.copy(),
-        layout="".join(chr(raw.color_desc[i]) for i in corner.ravel()),
-        black=np.asarray(raw.black_level_per_channel, np.float64)[corner],
+        layout=layout,
+        black=black,
         white=float(raw.white_level) if raw.white_level else None,
         exposure_s=_label(raw.other.shutter_speed),
         camera=camera,
     )
+
+
+def _mosaic(path: Path, raw: Any) -> tuple[str, float | NDArray[np.float64]]:
+    """The layout, and the black levels [DN] by place in it."""
+    black = np.asarray(raw.black_level_per_channel, np.float64)
+    if raw.raw_pattern is None:
+        raise InputError(f"{path}: is no mosaic but a stack of planes (Foveon, sRAW, linear DNG); save full RAW")
+    if raw.num_colors == 1:
+        return "mono", float(black[0])
+    if raw.raw_pattern.shape != (2, 2):
+        raise InputError(f"{path}: has an X-Trans pattern, which is not read; use a camera with a 2x2 pattern")
+    corner = raw.raw_colors_visible[:2, :2].copy()
+    return "".join(chr(raw.color_desc[i]) for i in corner.ravel()), black[corner]
 
 
 def _label(seconds: float | None) -> float | None:

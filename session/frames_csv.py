@@ -39,12 +39,15 @@ def recover_frames(session_path: Path) -> list[Frame]:
     file = session_path / "frames.csv"
     if not file.exists():
         return []
-    content = file.read_bytes()
-    end = content.rfind(b"\n") + 1
-    if end < len(content):
+    try:
         with file.open("r+b") as journal:
-            journal.truncate(end)
-            os.fsync(journal.fileno())
+            content = journal.read()
+            end = content.rfind(b"\n") + 1
+            if end < len(content):
+                journal.truncate(end)
+                os.fsync(journal.fileno())
+    except OSError as error:
+        raise InputError(f"{file}: cannot be resumed ({error.strerror}); check its permissions") from error
     return _parse(session_path, file, read_text(file)) if end else []
 
 
@@ -63,7 +66,7 @@ def append_frame(session_path: Path, frame: Frame) -> None:
             journal.flush()
             os.fsync(journal.fileno())
     except OSError as error:
-        raise InputError(f"{file}: cannot be written ({error.strerror})") from error
+        raise InputError(f"{file}: cannot be written ({error.strerror}); check its permissions") from error
 
 
 def write_frames(session_path: Path, frames: Iterable[Frame]) -> None:

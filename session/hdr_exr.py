@@ -49,11 +49,11 @@ def read_hdr_exr(path: Path) -> tuple[dict[str, Plane], dict[str, Any]]:
 
 def read_linear_image(path: Path) -> Plane:
     """A merged image from elsewhere (EXR, .hdr, float TIFF), float32 of shape (h, w), or (h, w, 3) as RGB."""
-    from bssrdf.session.oiio_file import read_images
+    from bssrdf.session.oiio_file import read_image
 
     if path.suffix.lower() not in _LINEAR:
         raise InputError(f"{path}: is no EXR, .hdr or float TIFF; save the merged image as one of them")
-    image = read_images(path)[0]
+    image = read_image(path)
     if image.data.dtype != np.float32:
         raise InputError(f"{path}: holds {image.data.dtype} pixels; save the merged image as linear float")
     if image.data.shape[2] == 1:

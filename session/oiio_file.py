@@ -13,8 +13,6 @@ from numpy.typing import NDArray
 from bssrdf.errors import InputError
 
 _DTYPES = {"uint8": "uint8", "uint16": "uint16", "half": "float", "float": "float", "double": "float"}
-_MOST_PACKED = 4096
-"""No compression of a frame is tighter than this: a header that claims more is rubbish, not worth its memory."""
 
 
 class Image(NamedTuple):
@@ -28,12 +26,12 @@ class Image(NamedTuple):
 
 def read_images(path: Path) -> list[Image]:
     """Every image of the file; InputError where one cannot be read whole."""
-    if not path.is_file():
-        raise InputError(f"{path}: is not there; check the path")
-    try:
-        return _read_all(path)
-    except UnicodeDecodeError as error:  # from a name, an attribute, or OpenImageIO's own message
-        raise _unreadable(path, "") from error
+    return _read_most(path, None)
+
+
+def read_image(path: Path) -> Image:
+    """The first image of the file; those after it may be thumbnails."""
+    return _read_most(path, 1)[0]
 
 
 def file_attributes(path: Path) -> dict[str, Any]:
@@ -47,13 +45,22 @@ def file_attributes(path: Path) -> dict[str, Any]:
         return {}
 
 
-def _read_all(path: Path) -> list[Image]:
+def _read_most(path: Path, most: int | None) -> list[Image]:
+    if not path.is_file():
+        raise InputError(f"{path}: is not there; check the path")
+    try:
+        return _read_open(path, most)
+    except UnicodeDecodeError as error:  # from a name, an attribute, or OpenImageIO's own message
+        raise _unreadable(path, "") from error
+
+
+def _read_open(path: Path, most: int | None) -> list[Image]:
     file = oiio.ImageInput.open(str(path))
     if file is None:
         raise _unreadable(path, oiio.geterror())
     try:
         images: list[Image] = []
-        while file.seek_subimage(len(images), 0):
+        while len(images) != most and file.seek_subimage(len(images), 0):
             images.append(_read(path, file))
         if not images:
             raise _unreadable(path, file.geterror())
@@ -71,15 +78,13 @@ def _read(path: Path, file: Any) -> Image:
         raise InputError(
             f"{path}: pixels of {bits}-bit {spec.format} are not read; save 8 or 16 bit unsigned, or float"
         )
-    if spec.depth != 1 or spec.deep or spec.image_bytes() > _MOST_PACKED * path.stat().st_size:
-        raise _unreadable(path, f"{spec.width}x{spec.height}x{spec.depth} pixels do not fit in the file")
+    if spec.depth != 1 or spec.deep:
+        raise InputError(f"{path}: is a volume or a deep image; save a flat one")
     data = file.read_image(file.current_subimage(), 0, 0, spec.nchannels, dtype)
     if data is None or file.has_error:
         raise _unreadable(path, file.geterror())
-    shape = (spec.height, spec.width, spec.nchannels)
-    return Image(
-        np.asarray(data).reshape(shape), tuple(spec.channelnames), attributes.get("oiio:subimagename", ""), attributes
-    )
+    pixels = np.asarray(data).reshape(spec.height, spec.width, spec.nchannels)
+    return Image(pixels, tuple(spec.channelnames), attributes.get("oiio:subimagename", ""), attributes)
 
 
 def _attributes(spec: Any) -> dict[str, Any]:
