@@ -1,0 +1,155 @@
+"""Shutter and beam of an SCPI controller with a host watchdog: the command tree that the project's firmware speaks.
+
+Every verb may be repeated. A command without an answer is confirmed by `SYST:ERR?`.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+from bssrdf.errors import DeviceError
+from bssrdf.rig.ports import Identity, ShutterState
+from bssrdf.rig.serial_line import BadReply, SerialLine, Wire, open_wire
+
+BAUD = 57600
+_TRIES = 3
+_NO_ERROR = '0,"No error"'
+
+
+class ScpiController:
+    """One controller; its shutter and its beam share the port."""
+
+    def __init__(
+        self,
+        port: str,
+        *,
+        timeout_s: float = 1.0,
+        boot_s: float = 3.0,
+        watchdog_s: float = 5.0,
+        open_port: Callable[[str, int, float], Wire] = open_wire,
+    ) -> None:
+        self.name = f"scpi on {port}"
+        self.watchdog_s = watchdog_s
+        self._port, self._timeout_s, self._boot_s, self._open_port = port, timeout_s, boot_s, open_port
+        self._line: SerialLine | None = None
+        self._identity: Identity | None = None
+
+    def connect(self) -> Identity:
+        """Identify, once for both parts; opening the port resets a board, so it may take `boot_s` to answer."""
+        if self._identity is None:
+            self._line = SerialLine(self.name, self._open_port(self._port, BAUD, self._timeout_s))
+            self._identity = Identity("scpi", self._port, self._first_answer())
+            self.command("*CLS")
+            self.command(f"SYST:WATC {round(self.watchdog_s * 1000)}")
+        return self._identity
+
+    def query(self, command: str, known: Callable[[str], bool]) -> str:
+        """The answer to a question; asked again where it does not come or is not `known`."""
+        for _ in range(_TRIES - 1):
+            try:
+                return self._ask(command, known)
+            except BadReply:
+                self._wire().drain(self._timeout_s)
+        return self._ask(command, known)
+
+    def command(self, command: str) -> None:
+        """A verb; sent again where the controller did not understand it."""
+        error = ""
+        for _ in range(_TRIES):
+            self._wire().send(command.encode() + b"\n")
+            error = self.query("SYST:ERR?", lambda reply: '"' in reply)
+            if error == _NO_ERROR:
+                return
+        raise DeviceError(f"{self.name}: {command!r} was refused with {error!r}; check firmware and interlock")
+
+    def release(self) -> None:
+        if self._line is not None:
+            self._line.release()
+            self._line = self._identity = None
+
+    def _first_answer(self) -> str:
+        deadline = time.monotonic() + self._boot_s
+        while True:
+            try:
+                self._wire().forget()
+                return self._ask("*IDN?", lambda reply: reply.count(",") == 3)
+            except BadReply:
+                if time.monotonic() > deadline:
+                    raise
+
+    def _ask(self, command: str, known: Callable[[str], bool]) -> str:
+        sent = command.encode() + b"\n"
+        self._wire().send(sent)
+        reply = self._wire().receive(b"\n", after=sent).rstrip(b"\r").decode("ascii", "replace")
+        if not known(reply):
+            raise BadReply(f"{self.name}: {command!r} answered {reply!r}; is it another device, or another baud rate?")
+        return reply
+
+    def _wire(self) -> SerialLine:
+        if self._line is None:
+            raise DeviceError(f"{self.name}: is not connected")
+        return self._line
+
+
+class ScpiShutter:
+    """The shutter of a controller: a timed pulse, and closed by the watchdog when this program is gone."""
+
+    def __init__(self, controller: ScpiController) -> None:
+        self._controller = controller
+
+    @property
+    def name(self) -> str:
+        return self._controller.name
+
+    @property
+    def after_kill(self) -> str:
+        return f"the controller's watchdog closes the shutter within {self._controller.watchdog_s:g} s"
+
+    def connect(self) -> Identity:
+        identity = self._controller.connect()
+        self.close()
+        return identity
+
+    def open_for(self, longest_s: float) -> None:
+        self._controller.command(f"SHUT:PULS {round(longest_s * 1e6)}")
+        if self.state() != "open":
+            tripped = self._controller.query("SYST:INT?", lambda reply: reply in ("0", "1")) == "1"
+            why = "the interlock is tripped" if tripped else "it stays closed"
+            raise DeviceError(f"{self.name}: does not open ({why}); check interlock and shutter head")
+
+    def close(self) -> None:
+        self._controller.command("SHUT:STAT CLOS")
+        if self.state() != "closed":
+            raise DeviceError(f"{self.name}: told to close, but is open; block the beam by hand")
+
+    def state(self) -> ShutterState:
+        reply = self._controller.query("SHUT:STAT?", lambda reply: reply in ("OPEN", "CLOS"))
+        return "open" if reply == "OPEN" else "closed"
+
+    def release(self) -> None:
+        self._controller.release()
+
+
+class ScpiBeam:
+    """The beam of a controller."""
+
+    def __init__(self, controller: ScpiController, level: float = 1.0) -> None:
+        self._controller, self._level = controller, level
+
+    @property
+    def name(self) -> str:
+        return self._controller.name
+
+    def connect(self) -> Identity:
+        return self._controller.connect()
+
+    def on(self) -> None:
+        self._controller.command(f"BEAM:LEV {self._level:g}")
+        self._controller.command("BEAM:STAT ON")
+
+    def off(self) -> None:
+        self._controller.command("BEAM:STAT OFF")
+
+    def release(self) -> None:
+        self._controller.release()
