@@ -84,7 +84,7 @@ def merge(
     steps = 2 * len(ordered)
 
     def samples(first_step: int) -> Iterator[tuple[Shot, Sample]]:
-        for i, pair in enumerate(_read_ahead(ordered)):
+        for i, pair in enumerate(read_ahead(ordered)):
             yield pair
             if progress:
                 progress(what, first_step + i + 1, steps)
@@ -110,12 +110,19 @@ def merge(
     return Hdr(radiance, variance, count, mask)
 
 
-def _read_ahead(shots: Sequence[Shot]) -> Iterator[tuple[Shot, Sample]]:
-    """Load frames by two threads, at most two ahead, and hand them out in order."""
+def read_ahead(shots: Sequence[Shot]) -> Iterator[tuple[Shot, Sample]]:
+    """Load frames by two threads, at most two ahead, and hand them out in order; InputError where sizes differ."""
     with ThreadPoolExecutor(_READERS) as readers:
         waiting: list[Future[Sample]] = [readers.submit(shot.load) for shot in shots[:_READERS]]
+        shape = None
         for i, shot in enumerate(shots):
             sample = waiting.pop(0).result()
+            shape = shape or sample.raw.shape
+            if not sample.raw.shape == sample.dark.shape == shape:
+                raise InputError(
+                    f"{shot.name}: is {sample.raw.shape[::-1]} pixels, its dark {sample.dark.shape[::-1]}, the first "
+                    f"frame {shape[::-1]}; take it again or leave it out"
+                )
             if i + _READERS < len(shots):
                 waiting.append(readers.submit(shots[i + _READERS].load))
             yield shot, sample
@@ -132,11 +139,6 @@ def _poisson_sum(samples: Iterator[tuple[Shot, Sample]], sensor: Sensor) -> tupl
         if signal is None or seconds is None or count is None:
             signal, seconds = np.zeros(raw.shape, np.float32), np.zeros(raw.shape, np.float32)
             count = np.zeros(raw.shape, np.uint8)
-        if raw.shape != signal.shape:
-            raise InputError(
-                f"{shot.name}: is {raw.shape[::-1]} pixels, the frames before it {signal.shape[::-1]}; "
-                "take it again or leave it out"
-            )
         for rows in _tiles(len(raw)):
             good = raw[rows] < sensor.saturation_dn
             signal[rows] += (raw[rows] - dark[rows].astype(np.float32)) * good

@@ -12,7 +12,7 @@ import bssrdf
 from bssrdf.calib.surface import Surface
 from bssrdf.errors import InputError
 from bssrdf.measure.bracket import Bracket, bracket_of, camera_of
-from bssrdf.measure.learn import Learnt, learn_sensor
+from bssrdf.measure.learn import Learnt, learn_camera
 from bssrdf.measure.merge import Hdr, Progress, merge
 from bssrdf.measure.pixels import channel_names, mosaic_period
 from bssrdf.measure.plot import write_slice_png
@@ -59,7 +59,7 @@ def measure_session(
     if not brackets:
         raise InputError(f"{session.path / 'frames.csv'}: lists no frame of kind sample or reference; add some")
     camera = camera_of(next(iter(brackets.values())), session.camera)
-    learnt = learn_sensor(list(brackets.values()), camera)
+    learnt = learn_camera(list(brackets.values()), camera, mosaic_period(camera.layout or "mono"))
     images = {kind: _merged(bracket, camera, learnt, progress) for kind, bracket in brackets.items()}
     provenance = _provenance(session, brackets, learnt)
     curve = None if hdr_only else _slice(session, images, camera, learnt, radial, provenance)
@@ -81,13 +81,21 @@ def _check_tables(session: Session, frames: Sequence[Frame]) -> None:
 
 def _merged(bracket: Bracket, camera: Camera, learnt: Learnt, progress: Progress | None) -> Hdr:
     return merge(
-        bracket.shots(bracket.exposures_s()),
+        bracket.shots(_exposures_used(bracket, learnt)),
         learnt.sensor,
         hot=learnt.hot,
         period=mosaic_period(camera.layout or "mono"),
         progress=progress,
         what=bracket.kind,
     )
+
+
+def _exposures_used(bracket: Bracket, learnt: Learnt) -> list[float]:
+    """Measured or nominal times, corrected by what the overlap of the bracket says of each label."""
+    return [
+        seconds * learnt.exposures.of(frame.exposure_s) / frame.exposure_s
+        for frame, seconds in zip(bracket.frames, bracket.exposures_s(), strict=True)
+    ]
 
 
 def _slice(
@@ -165,8 +173,10 @@ def _provenance(session: Session, brackets: Mapping[str, Bracket], learnt: Learn
     }
     return {
         "version": bssrdf.__version__,
-        "exposures_s": {kind: bracket.exposures_s() for kind, bracket in brackets.items()},
+        "exposures_s": {kind: _exposures_used(bracket, learnt) for kind, bracket in brackets.items()},
+        "exposures_rel_sd": list(learnt.exposures.rel_sd.values()),
         "sensor": asdict(learnt.sensor),
+        "nonlinearity": learnt.nonlinearity,
         "calibration": session.calibration or "",
         "sha256": files,
     }

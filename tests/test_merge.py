@@ -117,7 +117,7 @@ def test_hot_pixels_are_marked():
 
 def test_frames_of_another_size_are_named():
     shots = shots_of(np.full((8, 8), 1e4), [0.1]) + shots_of(np.full((8, 9), 1e4), [0.2])
-    with pytest.raises(InputError, match=r"00: is \(9, 8\) pixels"):
+    with pytest.raises(InputError, match=r"00: is \(9, 8\) pixels.* first frame \(8, 8\)"):
         merge(shots, SENSOR)
 
 
