@@ -14,7 +14,7 @@ from jaxtyping import Array, Float, Int
 from bssrdf.session.records import ChannelSlice, Slice
 from bssrdf.transport.convention import camera_factor
 
-BUCKETS = (64, 128, 256, 512, 1024, 2048, 4096, 8192, 16384)
+BUCKETS = (64, 256, 1024, 4096, 16384)
 
 
 class Curves(NamedTuple):

@@ -5,6 +5,7 @@ from __future__ import annotations
 MEANING = {
     "albedo_one": "R is 1 within its error: σa is an upper bound.",
     "few_radii": "Fewer than 5 radii lie in the window: nothing was fitted.",
+    "noise": "The curve does not determine σs′ to within a factor: nothing was identified.",
     "not_converged": "The search did not come to rest.",
     "poor_fit": "The curve departs from the model by more than its errors allow (χ² or runs of one sign).",
     "sd_unknown": "The curve came without errors: they were taken as equal relative ones, from its own scatter.",

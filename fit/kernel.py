@@ -119,9 +119,10 @@ def _optimise(
 
 
 class Judged(NamedTuple):
-    """A solution with its linear errors; covariances are of (ln σa, ln σs′)."""
+    """A solution with its linear errors."""
 
     solution: Solution
+    q_sd: Scalar
     sigma_a: Scalar
     sigma_sp: Scalar
     sigma_a_sd: Scalar
@@ -132,10 +133,10 @@ class Judged(NamedTuple):
     runs_z: Scalar
 
 
-def _coefficients(point: Parameters) -> Float[Array, " 2"]:
-    """(σa, σs′); σa below 0 where q is, so that its error is two-sided in the linear picture."""
-    absorbed = point.q * jnp.abs(point.q) / 3
-    return jnp.exp(point.log_sigma_tp) * jnp.stack([absorbed, 1 - jnp.abs(absorbed)])
+def coefficients(shape: Float[Array, " 2"]) -> Float[Array, " 2"]:
+    """(σa, σs′) of (ln σt′, q); σa is 0 where q is below 0."""
+    absorbed = jnp.maximum(shape[1], 0) ** 2 / 3
+    return jnp.exp(shape[0]) * jnp.stack([absorbed, 1 - absorbed])
 
 
 def judge(task: Task, model: ForwardModel, data: Curves, common_sd: Nuisance, solution: Solution) -> Judged:
@@ -150,31 +151,30 @@ def judge(task: Task, model: ForwardModel, data: Curves, common_sd: Nuisance, so
     def rest(free: Float[Array, " p"], nuisance: Nuisance) -> Float[Array, " m"]:
         return residual(task, model, data, solution.weight, at(free, nuisance), nuisance)
 
+    def shape(free: Float[Array, " p"], nuisance: Nuisance) -> Float[Array, " 2"]:
+        return jnp.stack(at(free, nuisance)[:2])
+
     misfit = residual(task, model, data, solution.weight, solution.point)
-    used = solution.counts.sum()
-    dof = jnp.maximum(used + (task.constraint == "soft") - free.shape[0], 1)
-    chi2 = misfit @ misfit / dof
+    dof = solution.counts.sum() + (task.constraint == "soft") - free.shape[0]
+    chi2 = misfit @ misfit / jnp.maximum(dof, 1)
 
     by_free, by_nuisance = jax.jacfwd(rest, argnums=(0, 1))(free, zero)
-    information = by_free.T @ by_free
-    covariance = _inverse(information) * (1.0 if task.errors_known else chi2)
+    inverse = _inverse(by_free.T @ by_free)
+    along, direct = jax.jacfwd(shape, argnums=(0, 1))(free, zero)
+    covariance = along @ inverse @ along.T * (1.0 if task.errors_known else chi2)
+    for response, straight, common in zip(by_nuisance, direct, common_sd, strict=True):
+        shift = (straight - along @ (inverse @ (by_free.T @ response))) * common
+        covariance = covariance + jnp.outer(shift, shift)
 
-    def coefficients(free: Float[Array, " p"], nuisance: Nuisance) -> Float[Array, " 2"]:
-        return _coefficients(at(free, nuisance))
-
-    slope, direct = jax.jacfwd(coefficients, argnums=(0, 1))(free, zero)
+    best = jnp.stack(solution.point[:2])
+    slope = jax.jacfwd(coefficients)(best)
     result = slope @ covariance @ slope.T
-    for response, straight, sd in zip(by_nuisance, direct, common_sd, strict=True):
-        shift = (straight - slope @ (_inverse(information) @ (by_free.T @ response))) * sd
-        result = result + jnp.outer(shift, shift)
     sd = jnp.sqrt(jnp.diagonal(result))
-    sigma_a, sigma_sp = _coefficients(solution.point)
     return Judged(
         solution,
-        sigma_a,
-        sigma_sp,
-        sd[0],
-        sd[1],
+        jnp.sqrt(covariance[1, 1]),
+        *coefficients(best),
+        *sd,
         result[0, 1] / (sd[0] * sd[1]),
         chi2,
         total(model, solution.point.q),

@@ -18,7 +18,9 @@ from bssrdf.transport.forward import ForwardModel
 
 Scalar = Float[Array, ""]
 SMALLEST_Q = 1e-12
-"""Keeps derivatives with respect to q alive at the boundary; σa/σt′ is then 3e-25."""
+"""In place of 0, where a model's derivative in σa may not exist; σa/σt′ is then 3e-25."""
+SLOPE_Q = 1e-4
+"""Where the slope of the total at R = 1 is taken."""
 
 
 class Parameters(NamedTuple):
@@ -53,7 +55,7 @@ def total(model: ForwardModel, q: Scalar) -> Scalar:
 
 
 def q_of_total(model: ForwardModel, total_r: Scalar) -> Scalar:
-    """The q at which the model's total is R; clipped to the model's range, and differentiable in R."""
+    """The q in the model's range whose total is nearest to R; differentiable in R, also at the ends of the range."""
     lo = jnp.zeros_like(total_r)
     hi = jnp.full_like(total_r, model.q_max)
 
@@ -65,6 +67,5 @@ def q_of_total(model: ForwardModel, total_r: Scalar) -> Scalar:
 
     lo, hi = jax.lax.fori_loop(0, 52, halve, (lo, hi))
     root = jax.lax.stop_gradient((lo + hi) / 2)
-    slope = jax.lax.stop_gradient(jax.grad(lambda q: total(model, q))(root))
-    newton = root - (total(model, root) - total_r) / slope
-    return jnp.clip(newton, 0, model.q_max)
+    slope = jax.lax.stop_gradient(jax.grad(lambda q: total(model, q))(jnp.maximum(root, SLOPE_Q)))
+    return root - (total(model, root) - total_r - jax.lax.stop_gradient(total(model, root) - total_r)) / slope
