@@ -53,6 +53,7 @@ class Medium(NamedTuple):
         return self.z_r + 4 * boundary_a(self.eta) * self.diffusion
 
 
+@jax.jit
 def fluence(medium: Medium, r: Real, z: Real) -> Float[Array, "..."]:
     """φ(r, z) [1/mm²] at depth z, section 2.1, for a source of power albedo_p; infinite at the source itself."""
 
@@ -64,6 +65,7 @@ def fluence(medium: Medium, r: Real, z: Real) -> Float[Array, "..."]:
     return medium.albedo_p / (4 * jnp.pi * medium.diffusion) * (source(d_r) - source(d_v))
 
 
+@jax.jit
 def rd(medium: Medium, r: Real) -> Float[Array, "..."]:
     """R_d(r) [1/mm²], eq. 4, without the factor 1/σt′ misprinted in its second term."""
 
@@ -74,6 +76,7 @@ def rd(medium: Medium, r: Real) -> Float[Array, "..."]:
     return medium.albedo_p / (4 * jnp.pi) * (source(medium.z_r) + source(medium.z_v))
 
 
+@jax.jit
 def log_rd(medium: Medium, r: Real) -> Float[Array, "..."]:
     """ln R_d(r), eq. 4, finite where R_d itself underflows."""
 
@@ -84,6 +87,7 @@ def log_rd(medium: Medium, r: Real) -> Float[Array, "..."]:
     return jnp.log(medium.albedo_p / (4 * jnp.pi)) + jnp.logaddexp(source(medium.z_r), source(medium.z_v))
 
 
+@jax.jit
 def tail(medium: Medium, r: Real) -> Float[Array, "..."]:
     """∫_r^∞ 2πs R_d(s) ds, in closed form."""
 
@@ -94,6 +98,7 @@ def tail(medium: Medium, r: Real) -> Float[Array, "..."]:
     return medium.albedo_p / 2 * (source(medium.z_r) + source(medium.z_v))
 
 
+@jax.jit
 def log_tail(medium: Medium, r: Real) -> Float[Array, "..."]:
     """ln of the tail, finite where the tail itself underflows."""
 
@@ -104,6 +109,7 @@ def log_tail(medium: Medium, r: Real) -> Float[Array, "..."]:
     return jnp.log(medium.albedo_p / 2) + jnp.logaddexp(source(medium.z_r), source(medium.z_v))
 
 
+@jax.jit
 def bin_average(medium: Medium, r_lo: Real, r_hi: Real) -> Float[Array, "..."]:
     """Mean of R_d over the annulus [r_lo, r_hi], weighted by r dr: the difference of its tails over its area.
 
@@ -119,11 +125,13 @@ def bin_average(medium: Medium, r_lo: Real, r_hi: Real) -> Float[Array, "..."]:
     return medium.albedo_p / (2 * jnp.pi) * (source(medium.z_r) + source(medium.z_v))
 
 
+@jax.jit
 def total_r(medium: Medium) -> Float[Array, "..."]:
     """Total diffuse reflectance R, the integral of eq. 4 over the surface."""
     return total_r_of_ratio(medium.sigma_a / medium.sigma_tp, medium.eta)
 
 
+@jax.jit
 def total_r_of_ratio(absorption_ratio: Real, eta: Real) -> Float[Array, "..."]:
     """R from absorption_ratio = σa/σt′ = 1 − albedo_p, which alone keeps its digits near albedo 1."""
     q = safe_sqrt(3 * absorption_ratio)

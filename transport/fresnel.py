@@ -3,6 +3,7 @@
 `eta` is the index inside over the index outside. Everything is dimensionless.
 """
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -29,6 +30,7 @@ def fresnel_t(eta: Real, cos_i: Real) -> Float[Array, "..."]:
     return 1 - fresnel_r(eta, cos_i)
 
 
+@jax.jit
 def fdr(eta: Real) -> Float[Array, "..."]:
     """Fdr, Jensen et al. 2001 section 2.1: the polynomial where it holds, 1 < eta <= 2, and exact elsewhere."""
     polynomial = -1.440 / jnp.square(eta) + 0.710 / eta + 0.668 + 0.0636 * eta
@@ -36,6 +38,7 @@ def fdr(eta: Real) -> Float[Array, "..."]:
     return jnp.where(in_range, polynomial, fdr_exact(eta))
 
 
+@jax.jit
 def fdr_exact(eta: Real) -> Float[Array, "..."]:
     """Average Fr of Lambertian light that arrives from inside, 2∫Fr μ dμ, to 1e-10."""
     denser, reflected = _denser_side(eta)
@@ -43,6 +46,7 @@ def fdr_exact(eta: Real) -> Float[Array, "..."]:
     return jnp.where(jnp.asarray(eta) >= 1, from_denser, reflected)
 
 
+@jax.jit
 def exit_norm(eta: Real) -> Float[Array, "..."]:
     """C = 2∫₀¹ Ft(eta, μ) μ dμ over outside directions: keeps the hemispherical total of an exit lobe Ft/C."""
     denser, reflected = _denser_side(eta)

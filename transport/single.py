@@ -4,6 +4,7 @@ First-order light scattered exactly once, by Henyey and Greenstein's phase funct
 surface again. `eta` is 1 or more.
 """
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -29,6 +30,7 @@ def first_order_rd(sigma_s: Real, sigma_a: Real, g: Real, eta: Real, r: Real) ->
     return first_order_bin_average(sigma_s, sigma_a, g, eta, r, r)
 
 
+@jax.jit
 @jnp.vectorize
 def first_order_bin_average(
     sigma_s: Real, sigma_a: Real, g: Real, eta: Real, r_lo: Real, r_hi: Real
@@ -45,6 +47,7 @@ def first_order_bin_average(
     return 2 * sigma_s / (eta * (r_lo + r_hi)) * jnp.sum(leaving * within)
 
 
+@jax.jit
 @jnp.vectorize
 def first_order_total(sigma_s: Real, sigma_a: Real, g: Real, eta: Real) -> Float[Array, "..."]:
     """∫ 2πr R⁽¹⁾(r) dr: the share of the entered flux that leaves after one scattering."""
