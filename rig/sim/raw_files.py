@@ -49,6 +49,8 @@ def write_tiff(path: Path, dn: NDArray[np.uint16], exposure_s: float) -> None:
     spec = oiio.ImageSpec(width, height, 1, "uint16")
     spec.attribute("ExposureTime", exposure_s)
     output = oiio.ImageOutput.create(str(path))
+    if output is None:
+        raise InputError(f"{path}: OpenImageIO cannot write this format; use .tif")
     written = output.open(str(path), spec) and output.write_image(dn[..., np.newaxis])
     closed = output.close()
     if not (written and closed):

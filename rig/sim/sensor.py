@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
 
 import numpy as np
@@ -45,6 +46,7 @@ class Sensor:
         return (self.white_dn - self.black_dn) * self.gain_e_per_dn
 
 
+@functools.lru_cache(maxsize=4)
 def dark_current(sensor: Sensor) -> Array:
     """Dark current of each pixel [e⁻/s], (height, width): a common rate, and some hot pixels far above it."""
     rng = np.random.default_rng(sensor.seed)

@@ -53,10 +53,10 @@ def light_of(sample: Sample, bench: Bench, photons: int, seed: int) -> dict[str,
     }
 
 
-def photo_current(light: dict[str, RadialLight], bench: Bench, e_per_s: float) -> Array:
-    """Mean photo-current of each pixel [e⁻/s] on the mosaic; `e_per_s` is that of a green πL/Φ of 1/mm²."""
+def unit_current(light: dict[str, RadialLight], bench: Bench) -> Array:
+    """Photo-current of each pixel on the mosaic, over that of a green πL/Φ of 1/mm²."""
     planes = {
-        channel: e_per_s * power * picture(curve, bench.view, bench.glare)
+        channel: power * picture(curve, bench.view, bench.glare)
         for (channel, curve), power in zip(light.items(), bench.channel_power, strict=True)
     }
     return mosaic(bench.sensor, planes)
@@ -84,15 +84,20 @@ def write_simulated_session(
         "sample": light_of(sample, bench, photons, seed),
         "reference": light_of(tile, bench, photons, seed + 1000),
     }
-    brightest = max(photo_current(light, bench, 1.0).max() for light in lights.values())
-    e_per_s = _PEAK * bench.sensor.full_well_e / (brightest * BRACKET_S[0])
+    currents = {part: unit_current(light, bench) for part, light in lights.items()}
+    e_per_s = _PEAK * bench.sensor.full_well_e / (max(c.max() for c in currents.values()) * BRACKET_S[0])
 
     (session / "frames").mkdir(parents=True)
     frames: list[Frame] = []
-    for part, light in lights.items():
-        current = photo_current(light, bench, e_per_s)
-        frames += _take(session, part, current, bench.sensor, file_format, seed)  # type: ignore[arg-type]
-        frames += _take(session, f"{part}_dark", 0.0, bench.sensor, file_format, seed)  # type: ignore[arg-type]
+    kind: FrameKind
+    light_e_per_s: Array | float
+    for kind, light_e_per_s in (
+        ("sample", e_per_s * currents["sample"]),
+        ("sample_dark", 0.0),
+        ("reference", e_per_s * currents["reference"]),
+        ("reference_dark", 0.0),
+    ):
+        frames += _take(session, kind, light_e_per_s, bench.sensor, file_format, seed)
     write_frames(session, frames)
 
     radiance_factor = {channel: light.total for channel, light in lights["reference"].items()}
@@ -102,13 +107,13 @@ def write_simulated_session(
 
 
 def _take(
-    session: Path, kind: FrameKind, current: Array | float, sensor: Sensor, file_format: FileFormat, seed: int
+    session: Path, kind: FrameKind, light_e_per_s: Array | float, sensor: Sensor, file_format: FileFormat, seed: int
 ) -> list[Frame]:
     """One bracket of one kind."""
     frames = []
     for number, exposure_s in enumerate(BRACKET_S):
         rng = np.random.default_rng([seed, number, *kind.encode()])
-        dn = expose(sensor, current, exposure_s, rng)
+        dn = expose(sensor, light_e_per_s, exposure_s, rng)
         file = f"frames/{kind}_{number:02d}.{'tif' if file_format == 'tiff' else 'dng'}"
         if file_format == "tiff":
             write_tiff(session / file, dn, exposure_s)
