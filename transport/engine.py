@@ -8,12 +8,9 @@ from __future__ import annotations
 
 import functools
 import math
-import os
 import threading
-from collections.abc import Callable, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass
-from typing import Literal, TypeVar
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -21,11 +18,11 @@ from numpy.typing import ArrayLike, NDArray
 from bssrdf.errors import InputError
 from bssrdf.transport.discrete_ordinates import decay_constant
 from bssrdf.transport.exit_radiance import MAX_ANGLE_DEG, N_MU, angle_weights
+from bssrdf.transport.parallel import Progress, run_all
 from bssrdf.transport.photon import stream_states
 from bssrdf.transport.walk import walk
 
 Floats = NDArray[np.float64]
-T = TypeVar("T")
 
 MIN_BATCHES = 20
 CHUNK = 500
@@ -145,10 +142,6 @@ class Tally:
         return angle_weights(self.medium.eta, math.cos(math.radians(angle_deg)))
 
 
-Progress = Callable[[int, int], None]
-"""Called with the batches done and the batches asked for."""
-
-
 def simulate(
     medium: MonteCarloMedium,
     beam: Beam | None = None,
@@ -187,39 +180,6 @@ def simulate(
         lost=sum(counts[2] for _, _, counts in done) / (per_batch * len(done)),
         interrupted=interrupted,
     )
-
-
-def run_all(
-    tasks: Sequence[Callable[[], T | None]], stop: threading.Event, n_threads: int | None, progress: Progress | None
-) -> tuple[list[T], bool]:
-    """Results of `tasks` in their order, run on threads, and whether Ctrl-C cut the list short.
-
-    At Ctrl-C `stop` is set, and tasks that heed it return None; with fewer than two results KeyboardInterrupt goes on.
-    """
-    interrupted = False
-    with ThreadPoolExecutor(n_threads or os.cpu_count()) as pool:
-        futures = [pool.submit(task) for task in tasks]
-        try:
-            _report(futures, progress)
-        except KeyboardInterrupt:
-            interrupted = True
-            stop.set()
-            pool.shutdown(cancel_futures=True)
-    results = [future.result() for future in futures if not future.cancelled()]
-    finished = [result for result in results if result is not None]
-    if interrupted and len(finished) < 2:
-        raise KeyboardInterrupt
-    return finished, interrupted
-
-
-def _report(futures: list[Future[T]], progress: Progress | None) -> None:
-    pending = set(futures)
-    while pending:
-        finished, pending = wait(pending, return_when=FIRST_COMPLETED)
-        for future in finished:
-            future.result()
-        if progress is not None:
-            progress(len(futures) - len(pending), len(futures))
 
 
 def _batch(

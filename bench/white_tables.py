@@ -1,0 +1,102 @@
+"""Makes the tables that ship with the package: `python -m bssrdf.bench.white_tables sample`, then `compress`.
+
+Sampling needs numpy, scipy and numba only, so that it can run on any machine with many cores; `reference` runs the
+absorbing engine on media that lie between the tables' nodes, to test them against.
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+
+from bssrdf.transport.discrete_ordinates import decay_constant
+from bssrdf.transport.engine import MonteCarloMedium, simulate
+from bssrdf.transport.white_samples import WhiteSamples, sample
+
+ETAS = (1.3, 1.33, 1.4, 1.5)
+GS = (0.0, 0.35, 0.6, 0.75, 0.8, 0.9)
+SEED = 20011
+REFERENCE_SEED = 711
+REFERENCE_MEDIA = {
+    "ketchup_b": (1.45, 0.03, 0.0, 1.3),
+    "ketchup_b_forward": (1.45, 0.03, 0.8, 1.3),
+    "whole_milk_r": (0.0011, 2.55, 0.8, 1.3),
+    "intralipid": (0.02, 1.0, 0.7, 1.33),
+    "silicone": (0.004, 0.9, 0.66, 1.43),
+    "mid_absorbing": (0.5, 1.0, 0.68, 1.37),
+    "forward_clear": (0.001, 1.0, 0.9, 1.4),
+    "half_forward": (0.03, 1.0, 0.5, 1.45),
+}
+"""σa, σs′ [1/mm], g, η."""
+ANGLES_DEG = (0.0, 30.0, 45.0, 60.0)
+
+
+def save_samples(path: Path, samples: WhiteSamples) -> None:
+    """Write raw samples, floats in single precision."""
+    arrays = {name: np.asarray(value) for name, value in dataclasses.asdict(samples).items()}
+    np.savez_compressed(path, **{k: v.astype(np.float32) if v.ndim > 1 else v for k, v in arrays.items()})
+
+
+def load_samples(path: Path) -> WhiteSamples:
+    """Read what `save_samples` wrote."""
+    with np.load(path, allow_pickle=False) as stored:
+        arrays = {name: stored[name] for name in stored.files}
+    return WhiteSamples(
+        **{k: v.astype(np.float64) if v.ndim > 1 else v if v.ndim else v.item() for k, v in arrays.items()}
+    )
+
+
+def sample_all(out: Path, core_seconds: float, n_threads: int) -> None:
+    """Raw samples of each g, one file each: `core_seconds` of processor time on average, more for larger g."""
+    for g in GS:
+        began = time.perf_counter()
+        share = core_seconds * (0.5 + g) / (0.5 + np.mean(GS))
+        samples = sample(g, np.array(ETAS), share, seed=SEED, n_threads=n_threads)
+        save_samples(out / f"samples_g{g:g}.npz", samples)
+        print(f"g {g}: {samples.n_photons.sum()} photons, {time.perf_counter() - began:.0f} s", file=sys.stderr)
+
+
+def reference_all(out: Path, core_seconds: float, n_threads: int) -> None:
+    """R_d, totals and radiance of the reference media by the absorbing engine, about `core_seconds` each."""
+    stored = {}
+    for name, (sigma_a, sigma_sp, g, eta) in REFERENCE_MEDIA.items():
+        medium = MonteCarloMedium.reduced(sigma_a, sigma_sp, g, eta)
+        far = min(
+            60.0 / (sigma_a + sigma_sp), 17.0 / (decay_constant(medium.sigma_s / medium.sigma_t, g) * medium.sigma_t)
+        )
+        edges = np.append(0, np.geomspace(0.02 / (sigma_a + sigma_sp), far, 60))
+        simulate(medium, r_edges_mm=edges, n_photons=1, seed=0)
+        began = time.perf_counter()
+        simulate(medium, r_edges_mm=edges, n_photons=20_000, seed=1, n_threads=1)
+        n_photons = int(20_000 * core_seconds / (time.perf_counter() - began))
+        tally = simulate(
+            medium, r_edges_mm=edges, n_photons=n_photons, seed=REFERENCE_SEED, n_threads=n_threads, n_batches=64
+        )
+        stored[f"{name}_edges_mm"] = edges
+        stored[f"{name}_rd"] = np.stack(tally.rd())
+        stored[f"{name}_first"] = np.stack(tally.rd("first"))
+        stored[f"{name}_total"] = np.array(tally.total_r())
+        stored[f"{name}_radiance"] = np.array([tally.radiance(angle) for angle in ANGLES_DEG])
+        stored[f"{name}_total_radiance"] = np.array([tally.total_radiance(angle) for angle in ANGLES_DEG])
+        print(f"{name}: {tally.n_photons} photons, {time.perf_counter() - began:.0f} s", file=sys.stderr)
+    np.savez_compressed(out / "reference.npz", **stored)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("what", choices=["sample", "reference"])
+    parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--core-seconds", type=float, required=True, help="processor time for a g or a medium")
+    parser.add_argument("--threads", type=int, required=True)
+    args = parser.parse_args()
+    args.out.mkdir(parents=True, exist_ok=True)
+    {"sample": sample_all, "reference": reference_all}[args.what](args.out, args.core_seconds, args.threads)
+
+
+if __name__ == "__main__":
+    main()

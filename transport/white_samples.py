@@ -1,0 +1,196 @@
+"""Samples of white Monte Carlo for one g and several indices: what a table is made from.
+
+Walks are sampled in groups of neighbouring albedos; q = √(1 − α′) names a medium. Lengths in mean free paths 1/σt.
+Needs no JAX, so that large runs need only numpy, scipy and numba.
+"""
+
+from __future__ import annotations
+
+import functools
+import threading
+import time
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bssrdf.transport.discrete_ordinates import decay_constant
+from bssrdf.transport.exit_radiance import N_MU
+from bssrdf.transport.parallel import Progress, run_all
+from bssrdf.transport.white_walk import COARSE, white_walk
+
+Floats = NDArray[np.float64]
+
+Q_ZERO = 0.05
+Q_MAX = 0.98**0.5
+"""α′ = 0.02."""
+N_Q = 24
+GROUPS = ((0, 4), (4, 7), (7, 10), (10, 13), (13, 16), (16, 19), (19, 22), (22, 24))
+"""Nodes of q that one walk serves; the first is the one whose light it follows."""
+R_ZERO = 0.02
+"""[1/σt′] radial bins are uniform in ln(1 + r/R_ZERO)."""
+R_MAX = 200.0
+"""[1/σt′]."""
+N_R = 112
+BINS_PER_V = N_R / np.log1p(R_MAX / R_ZERO)
+JUMP_DEPTH = 10.0
+JUMP_MARGIN = 6.0
+"""[1/σt′] deeper than JUMP_DEPTH light diffuses; it jumps to JUMP_MARGIN under the surface."""
+FOLLOW = 0.85
+FOLLOW_CONSERVATIVE = 0.35
+"""Share of the decay constant that the weights follow outwards; where the first albedo is 1, of the last one's."""
+N_BATCHES = 32
+PILOT_PHOTONS = 2000
+
+
+def q_nodes() -> Floats:
+    """The N_Q nodes of q, from 0, uniform in ln(1 + q/Q_ZERO)."""
+    return Q_ZERO * np.expm1(np.linspace(0, np.log1p(Q_MAX / Q_ZERO), N_Q))
+
+
+def albedo_of(q: Floats, g: float) -> Floats:
+    """Single-scattering albedo σs/σt at q = √(1 − α′)."""
+    reduced = (1 - q) * (1 + q)
+    return reduced / (reduced + q * q * (1 - g))
+
+
+@dataclass(frozen=True)
+class WhiteSamples:
+    """Mean and standard error over batches, per entered photon; the leading axes are n_eta and N_Q."""
+
+    g: float
+    etas: Floats
+    curve: Floats
+    """(…, N_R + 1) light scattered twice or more by radial bin of the node's own walk; the last bin is all beyond."""
+    curve_se: Floats
+    angles: Floats
+    """(…, N_R / COARSE, N_MU) light of all orders by exit direction."""
+    angles_se: Floats
+    totals: Floats
+    """(…, 2) light scattered once, and twice or more."""
+    totals_se: Floats
+    n_photons: NDArray[np.int64]
+    """(groups,)."""
+    seconds: float
+    """Processor time."""
+
+
+@dataclass(frozen=True)
+class Walk:
+    """One group of albedos to sample."""
+
+    g: float
+    etas: Floats
+    group: int
+
+    @property
+    def q(self) -> Floats:
+        first, last = GROUPS[self.group]
+        return q_nodes()[first:last]
+
+    def batch(
+        self, seed: int, index: int, n_photons: int, stop: threading.Event
+    ) -> tuple[Floats, Floats, Floats, float] | None:
+        """Scores of one stream per photon, and its processor time; None if stopped before its end."""
+        albedos = albedo_of(self.q, self.g)
+        kappas = np.array([decay_constant(albedo, self.g) for albedo in albedos])
+        unit = 1 / (1 - albedos[0] * self.g)
+        conservative = self.group == 0
+        state = np.random.SeedSequence([seed, round(self.g * 1e6) % 2**32, self.group, index]).generate_state(
+            4, np.uint64
+        )
+        shape = (self.etas.size, self.q.size)
+        curve = np.zeros((N_R + 1, *shape))
+        angles = np.zeros((N_R // COARSE, *shape, N_MU))
+        totals = np.zeros((2, *shape))
+        began = time.thread_time()
+        chunk = max(1, n_photons // 20)
+        for start in range(0, n_photons, chunk):
+            if stop.is_set():
+                return None
+            white_walk(
+                min(chunk, n_photons - start),
+                state,
+                self.g,
+                self.etas,
+                albedos,
+                kappas,
+                FOLLOW_CONSERVATIVE * kappas[-1] if conservative else FOLLOW * kappas[0],
+                unit,
+                R_ZERO,
+                BINS_PER_V,
+                JUMP_DEPTH * unit if conservative else np.inf,
+                JUMP_MARGIN * unit,
+                curve,
+                angles,
+                totals,
+            )
+        return curve / n_photons, angles / n_photons, totals / n_photons, time.thread_time() - began
+
+
+def radius_of_bin_edges(q: Floats, g: float) -> Floats:
+    """Edges [1/σt′ of the node] of the radial bins at every node of q, shape (N_Q, N_R + 1)."""
+    own = 1 - albedo_of(q, g) * g
+    firsts = np.concatenate([np.full(last - first, first) for first, last in GROUPS])
+    edges = R_ZERO * np.expm1(np.arange(N_R + 1) / BINS_PER_V)
+    return edges * (own / own[firsts])[:, None]
+
+
+def seconds_per_photon(g: float, etas: Floats, seed: int = 0) -> Floats:
+    """Processor time a photon takes in each group, by a short trial."""
+    stop = threading.Event()
+    costs = []
+    for group in range(len(GROUPS)):
+        walk = Walk(g, etas, group)
+        walk.batch(seed, 0, 1, stop)
+        trial = walk.batch(seed, 1, PILOT_PHOTONS, stop)
+        assert trial is not None
+        costs.append(trial[3] / PILOT_PHOTONS)
+    return np.array(costs)
+
+
+def sample(
+    g: float,
+    etas: Floats,
+    core_seconds: float,
+    *,
+    seed: int,
+    n_threads: int | None = None,
+    progress: Progress | None = None,
+) -> WhiteSamples:
+    """Sample all groups for about `core_seconds` of processor time, shared equally among them.
+
+    A Ctrl-C raises KeyboardInterrupt: a table from a part would lack whole ranges of albedo.
+    """
+    share = core_seconds / len(GROUPS) / N_BATCHES
+    per_batch = np.maximum(1, share / seconds_per_photon(g, etas, seed)).astype(np.int64)
+    stop = threading.Event()
+    tasks = [
+        functools.partial(Walk(g, etas, group).batch, seed, 2 + index, int(per_batch[group]), stop)
+        for index in range(N_BATCHES)
+        for group in range(len(GROUPS))
+    ]
+    done, interrupted = run_all(tasks, stop, n_threads, progress)
+    if interrupted:
+        raise KeyboardInterrupt
+    by_kind = [
+        [np.stack([done[i][kind] for i in range(group, len(done), len(GROUPS))]) for group in range(len(GROUPS))]
+        for kind in range(3)
+    ]
+    curve, angles, totals = (
+        np.concatenate([np.moveaxis(group, (2, 3), (1, 2)) for group in kind], axis=2) for kind in by_kind
+    )
+    error = functools.partial(np.std, axis=0, ddof=1)
+    root = np.sqrt(N_BATCHES)
+    return WhiteSamples(
+        g,
+        np.asarray(etas, dtype=float),
+        curve.mean(0),
+        error(curve) / root,
+        angles.mean(0),
+        error(angles) / root,
+        totals.mean(0),
+        error(totals) / root,
+        per_batch * N_BATCHES,
+        float(sum(result[3] for result in done)),
+    )
