@@ -17,9 +17,11 @@ from bssrdf.errors import InputError
 from bssrdf.measure.merge import Hdr
 from bssrdf.measure.pixels import ChannelPixels, mosaic_period, pixels_of
 from bssrdf.measure.profile import Points, Profile, bin_edges, profile
+from bssrdf.measure.tail import Boundary, Estimate, fit_tail
 from bssrdf.session.records import Array, ChannelSlice
 
 _BAND_PX = 10
+_OUTLINE_STEPS = 200
 _SPOT_SD_PX = 3.0
 
 
@@ -37,6 +39,15 @@ class Image:
 
     def pixels(self, channel: str) -> ChannelPixels:
         return pixels_of(self.hdr, self.layout, channel)
+
+    def outline(self, spot: Spot) -> tuple[Array, Array]:
+        """The edge of the frame on the surface, (across, along) from the spot, once round."""
+        height, width = self.hdr.radiance.shape[:2]
+        way = np.linspace(0, 1, _OUTLINE_STEPS, endpoint=False)
+        right, down = way * width - 0.5, way * height - 0.5
+        x = np.concatenate([right, np.full_like(way, width - 0.5), right[::-1], np.full_like(way, -0.5), [-0.5]])
+        y = np.concatenate([np.full_like(way, -0.5), down, np.full_like(way, height - 0.5), down[::-1], [-0.5]])
+        return self.surface.centred(x, y, (spot.x_px, spot.y_px))
 
 
 def locate(image: Image) -> Spot:
@@ -61,24 +72,42 @@ def locate(image: Image) -> Spot:
 
 @dataclass(frozen=True)
 class Total:
-    """Light of an image [DN/s · mm²] with its standard error."""
+    """All light of an image in one channel [DN/s · mm²], that beyond the frame included, and what it is made of."""
 
     light: float
     sd: float
+    lost_fraction: float
+    """Share of `light` that left the frame."""
+    floor: Estimate
+    """Veiling glare [DN/s] that was taken off every pixel."""
 
 
-def total_light(image: Image, channel: str, spot: Spot) -> Total:
-    """Σ p A_px over the frame; pixels without a value count as their distance from the beam makes them."""
+def total_light(image: Image, channel: str, spot: Spot, boundary: Boundary, *, glare: bool) -> Total:
+    """Σ p A_px over the frame, with what the tail of the curve says of the light outside.
+
+    Pixels without a value count as their distance from the beam makes them. With `glare` a floor over the whole frame
+    is taken for veiling glare and subtracted.
+    """
     pixels = image.pixels(channel)
     across, along = image.surface.centred(pixels.x_px, pixels.y_px, (spot.x_px, spot.y_px))
     area = image.surface.pixel_area_mm2(pixels.x_px, pixels.y_px) * pixels.px_per_sample
-    value = pixels.value.copy()
-    bad = ~pixels.good
-    if bad.any():
-        around = radial_profile(image, channel, spot).curve()
-        value[bad] = around(np.hypot(across[bad], along[bad]))
-    variance = np.where(pixels.good, pixels.variance, 0.0)
-    return Total(float(value @ area), float(np.sqrt(variance @ area**2)))
+    curve = radial_profile(image, channel, spot)
+    value = np.where(pixels.good, pixels.value, 0.0)
+    if not pixels.good.all():
+        value[~pixels.good] = curve.curve()(np.hypot(across, along)[~pixels.good])
+    inside = float(value @ area)
+    variance = float(np.where(pixels.good, pixels.variance, 0.0) @ area**2)
+
+    outline = image.outline(spot)
+    fit = fit_tail(curve, float(np.hypot(*outline).min()), boundary, with_floor=glare)
+    if fit is None:
+        return Total(inside, float(np.sqrt(variance)), 0.0, Estimate(0.0, 0.0))
+    frame = float(area.sum())
+    outside = fit.estimate(lambda tail: tail.beyond(outline) - tail.floor * frame)
+    floor = fit.estimate(lambda tail: tail.floor)
+    light = inside + outside.value
+    lost = fit.tail.beyond(outline) / light
+    return Total(light, float(np.sqrt(variance + outside.sd**2)), lost, floor)
 
 
 def _points(image: Image, channel: str, spot: Spot) -> Points:
@@ -120,8 +149,8 @@ def slice_profiles(image: Image, channel: str, spot: Spot, band_mm: float | None
     return sides
 
 
-def channel_slice(profiles: dict[int, Profile], per_light: float) -> ChannelSlice:
-    """Rows of slice.csv: profiles times `per_light` = 1/KΦ; side 0 stands for both."""
+def channel_slice(profiles: dict[int, Profile], floor: Estimate, per_light: float) -> ChannelSlice:
+    """Rows of slice.csv: profiles above the floor of glare times `per_light` = 1/KΦ; side 0 stands for both."""
     parts = sorted(profiles.items())
 
     def joined(name: str) -> Array:
@@ -130,8 +159,8 @@ def channel_slice(profiles: dict[int, Profile], per_light: float) -> ChannelSlic
     side = np.concatenate([np.full(len(part.value), side, np.int8) for side, part in parts])
     return ChannelSlice(
         joined("r"),
-        joined("value") * per_light,
-        joined("sd") * per_light,
+        (joined("value") - floor.value) * per_light,
+        np.hypot(joined("sd"), floor.sd) * per_light,
         joined("r_lo"),
         joined("r_hi"),
         side if side.any() else None,

@@ -24,12 +24,16 @@ from bssrdf.measure.reflectance import (
     slice_profiles,
     total_light,
 )
+from bssrdf.measure.tail import Boundary
 from bssrdf.session.atomic import replace_folder, sha256_of
 from bssrdf.session.frames_csv import read_frames
 from bssrdf.session.hdr_exr import write_hdr_exr
 from bssrdf.session.records import Camera, Frame, FrameKind, Reference, Session, Slice
 from bssrdf.session.slice_csv import write_slice
+from bssrdf.transport.fresnel import boundary_a
 
+_TILE_ETA = 1.35
+"""Sintered PTFE."""
 _KINDS: tuple[FrameKind, ...] = ("sample", "reference")
 
 
@@ -43,12 +47,18 @@ class Measured:
 
 
 def measure_session(
-    session: Session, *, hdr_only: bool = False, radial: bool = False, progress: Progress | None = None
+    session: Session,
+    *,
+    hdr_only: bool = False,
+    radial: bool = False,
+    glare: bool = False,
+    progress: Progress | None = None,
 ) -> Measured:
     """Measure the session and write its folder `measured/`, replaced as a whole.
 
     With `hdr_only` only the images are made, and only [camera] is needed; with `radial` the curve comes from the
-    whole image, not from the slice. InputError where frames or tables are missing or cannot be used.
+    whole image, not from the slice; with `glare` an even floor is taken for veiling glare and subtracted. InputError
+    where frames or tables are missing or cannot be used.
     """
     frames = read_frames(session.path)
     if not hdr_only:
@@ -62,7 +72,7 @@ def measure_session(
     learnt = learn_camera(list(brackets.values()), camera, mosaic_period(camera.layout or "mono"))
     images = {kind: _merged(bracket, camera, learnt, progress) for kind, bracket in brackets.items()}
     provenance = _provenance(session, brackets, learnt)
-    curve = None if hdr_only else _slice(session, images, camera, learnt, radial, provenance)
+    curve = None if hdr_only else _slice(session, images, camera, learnt, radial, glare, provenance)
     measured = Measured(images, provenance, curve)
     _write(session, measured)
     return measured
@@ -104,6 +114,7 @@ def _slice(
     camera: Camera,
     learnt: Learnt,
     radial: bool,
+    glare: bool,
     provenance: dict[str, Any],
 ) -> Slice:
     assert session.material
@@ -115,14 +126,16 @@ def _slice(
     used = session.beam.channels or every
     sample, reference = (Image(kind, images[kind], camera.layout, used, surface) for kind in _KINDS)
     spot, reference_spot = locate(sample), locate(reference)
-    channels, total_r, total_r_sd = {}, {}, {}
+    boundary, tile_boundary = (_boundary(eta, session) for eta in (session.material.eta, _TILE_ETA))
+    channels, total_r, total_r_sd, lost = {}, {}, {}, {}
     for channel in used:
         reflectance = reflectance_of(session.reference, channel, used, every)
-        incident = total_light(reference, channel, reference_spot)
-        back = total_light(sample, channel, spot)
+        incident = total_light(reference, channel, reference_spot, tile_boundary, glare=glare)
+        back = total_light(sample, channel, spot, boundary, glare=glare)
         per_light = reflectance / incident.light
         profiles = {0: radial_profile(sample, channel, spot)} if radial else slice_profiles(sample, channel, spot, None)
-        channels[channel] = channel_slice(profiles, per_light)
+        channels[channel] = channel_slice(profiles, back.floor, per_light)
+        lost[channel] = back.lost_fraction
         total_r[channel] = back.light * per_light
         total_r_sd[channel] = total_r[channel] * float(np.hypot(back.sd / back.light, incident.sd / incident.light))
     return Slice(
@@ -137,10 +150,20 @@ def _slice(
         material=session.material.name,
         g=session.material.g,
         spot_radius_mm=session.beam.spot_radius_mm,
+        lost_fraction=lost,
         scale_rel_sd=_scale_rel_sd(session.reference),
         mm_rel_sd=session.geometry.mm_per_px_rel_sd,
         flags=learnt.flags,
         provenance=provenance,
+    )
+
+
+def _boundary(eta: float, session: Session) -> Boundary:
+    """How light leaves towards the camera; below an η of 1 as at 1."""
+    assert session.geometry
+    eta = max(eta, 1.0)
+    return Boundary(
+        float(boundary_a(eta)), float(np.sqrt(1 - (np.sin(np.radians(session.geometry.view_angle_deg)) / eta) ** 2))
     )
 
 

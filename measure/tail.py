@@ -1,0 +1,124 @@
+"""The light that left the frame, and the floor of veiling glare, from the outer part of the curve. Lengths in mm.
+
+Some mean free paths from the beam, light leaves as diffusion has it with the boundary's fluence φ and flux J
+(Kienle & Patterson 1997, J. Opt. Soc. Am. A 14, 246): L ∝ φ + 3μ′J towards a camera that sees the inside under the
+cosine μ′, from a source one mean free path deep and its negative image above the extrapolated boundary. What lies
+beyond a line around the beam is a single integral along that line.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from bssrdf.measure.profile import Profile
+from bssrdf.session.records import Array
+
+_INNER_SHARE = 0.3
+"""The fit begins at this share of the distance from the beam to the nearest edge of the frame."""
+_MODEL_REL_SD = 0.003
+_MODEL_FREEDOM = 4
+"""The form is right to this, and departs from the truth as smoothly as a curve of this many free values."""
+_LEAST_BINS = 8
+
+
+class Boundary(NamedTuple):
+    """What the surface does: `a`, the paper's A, and `cosine`, that of the view inside the medium."""
+
+    a: float
+    cosine: float
+
+
+@dataclass(frozen=True)
+class Tail:
+    """Outer part of a curve: σtr [1/mm], mean free path [mm], a scale, and the floor of glare."""
+
+    scale: float
+    sigma_tr: float
+    mfp: float
+    floor: float
+    boundary: Boundary
+
+    def _sources(self) -> tuple[float, float, float]:
+        """Depth of the source, height of its image, and the diffusion constant."""
+        diffusion = self.mfp / 3
+        return self.mfp, self.mfp + 4 * self.boundary.a * diffusion, diffusion
+
+    def __call__(self, r: Array) -> Array:
+        z_r, z_v, diffusion = self._sources()
+
+        def fluence(z: float) -> Array:
+            d = np.hypot(r, z)
+            return np.exp(-self.sigma_tr * d) / d
+
+        def flux(z: float) -> Array:
+            d = np.hypot(r, z)
+            return z * (1 + self.sigma_tr * d) * np.exp(-self.sigma_tr * d) / d**3
+
+        shape = (fluence(z_r) - fluence(z_v)) / diffusion + 3 * self.boundary.cosine * (flux(z_r) + flux(z_v))
+        return self.scale * shape + self.floor
+
+    def beyond(self, outline: tuple[Array, Array]) -> float:
+        """∫ of the curve, floor left out, over everything outside of a closed line (across, along) round the beam."""
+        across, along = outline
+        z_r, z_v, diffusion = self._sources()
+        d_r, d_v = (np.sqrt(across**2 + along**2 + z**2) for z in (z_r, z_v))
+        near, far = np.exp(-self.sigma_tr * d_r), np.exp(-self.sigma_tr * d_v)
+        fluence = -near * np.expm1(-self.sigma_tr * (d_v - d_r)) / self.sigma_tr / diffusion
+        flux = z_r * near / d_r + z_v * far / d_v
+        angle = np.unwrap(np.arctan2(along, across))
+        return self.scale * abs(float(np.trapezoid(fluence + 3 * self.boundary.cosine * flux, angle)))
+
+
+class Estimate(NamedTuple):
+    """A number with its standard error."""
+
+    value: float
+    sd: float
+
+
+@dataclass(frozen=True)
+class TailFit:
+    """A tail with the covariance of (ln scale, ln σtr, ln mfp, floor)."""
+
+    tail: Tail
+    parameters: Array
+    covariance: Array
+    make: Callable[[Array], Tail]
+
+    def estimate(self, quantity: Callable[[Tail], float]) -> Estimate:
+        """A quantity of the tail with the error that follows from that of the fit."""
+        value = quantity(self.tail)
+        steps = 1e-3 * np.sqrt(np.diag(self.covariance)) + 1e-12
+        slope = np.array(
+            [(quantity(self.make(self.parameters + step)) - value) / step.sum() for step in np.diag(steps)]
+        )
+        return Estimate(value, float(np.sqrt(slope @ self.covariance @ slope)))
+
+
+def fit_tail(profile: Profile, reach: float, boundary: Boundary, *, with_floor: bool) -> TailFit | None:
+    """The tail of a curve seen round a beam that is `reach` from the nearest edge; None where there is too little."""
+    outer = (profile.r > _INNER_SHARE * reach) & np.isfinite(profile.sd)
+    r, value = profile.r[outer], profile.value[outer]
+    model_sd = _MODEL_REL_SD * np.sqrt(max(1.0, len(r) / _MODEL_FREEDOM))
+    sd = np.hypot(profile.sd[outer], model_sd * value)
+    if len(r) < _LEAST_BINS or np.mean(value / sd) < 1:
+        return None
+    first = float(value[0])
+
+    def make(p: Array) -> Tail:
+        unit = Tail(1.0, float(np.exp(p[1])), float(np.exp(p[2])), 0.0, boundary)
+        scale = float(np.exp(p[0])) * first / float(unit(r[:1])[0])
+        return Tail(scale, unit.sigma_tr, unit.mfp, float(p[3]) * first if with_floor else 0.0, boundary)
+
+    n = 4 if with_floor else 3
+    low = [-20.0, np.log(1e-4 / reach), np.log(1e-3 * reach), -1.0][:n]
+    high = [20.0, np.log(30 / reach), np.log(reach), 1.0][:n]
+    start = [0.0, np.log(1 / reach), np.log(0.05 * reach), 0.0][:n]
+    solved = least_squares(lambda p: (make(p)(r) - value) / sd, start, bounds=(low, high))
+    covariance = np.linalg.pinv(solved.jac.T @ solved.jac)
+    return TailFit(make(solved.x), solved.x, covariance, make)
