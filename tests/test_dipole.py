@@ -185,15 +185,22 @@ def test_the_slope_at_zero_absorption_is_the_limit_from_above(name: str, r: floa
 @pytest.mark.parametrize("name", CURVES)
 def test_first_and_second_derivatives_agree_with_finite_differences(name: str) -> None:
     def curve(x: jax.Array) -> jax.Array:
-        return CURVES[name](Medium(x[0], x[1], x[2]), x[3])
+        return CURVES[name](Medium(x[0], x[1], MARBLE.eta), x[2])
 
-    x = np.array([*MARBLE, 2.0])
+    x = np.array([MARBLE.sigma_a, MARBLE.sigma_sp, 2.0])
     steps = np.diag(1e-5 * x)
     f, slope, curvature = jax.jit(curve), jax.jit(jax.grad(curve)), jax.jit(jax.hessian(curve))
     differences = [float(f(x + h) - f(x - h)) / (2 * h.max()) for h in steps]
     np.testing.assert_allclose(slope(x), differences, rtol=1e-6)
     second = np.array([np.asarray(slope(x + h) - slope(x - h)) / (2 * h.max()) for h in steps])
     np.testing.assert_allclose(curvature(x), second, rtol=1e-5, atol=1e-7 * np.abs(second).max())
+
+
+@pytest.mark.parametrize("eta", [0.8, 1.3, 2.5])
+def test_the_slope_in_the_index_agrees_with_finite_differences(eta: float) -> None:
+    low, high = (float(dipole.rd(MARBLE._replace(eta=eta + h), 2.0)) for h in (-1e-5, 1e-5))
+    slope = jax.grad(dipole.rd)(MARBLE._replace(eta=eta), 2.0).eta
+    assert slope == pytest.approx((high - low) / 2e-5, rel=1e-6)
 
 
 @pytest.mark.parametrize("name", CURVES)
