@@ -11,6 +11,7 @@ import dataclasses
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -38,7 +39,7 @@ ANGLES_DEG = (0.0, 30.0, 45.0, 60.0)
 
 def save_samples(path: Path, samples: WhiteSamples) -> None:
     """Write raw samples, floats in single precision."""
-    arrays = {name: np.asarray(value) for name, value in dataclasses.asdict(samples).items()}
+    arrays: dict[str, Any] = {name: np.asarray(value) for name, value in dataclasses.asdict(samples).items()}
     np.savez_compressed(path, **{k: v.astype(np.float32) if v.ndim > 1 else v for k, v in arrays.items()})
 
 
@@ -55,7 +56,7 @@ def sample_all(out: Path, core_seconds: float, n_threads: int) -> None:
     """Raw samples of each g, one file each: `core_seconds` of processor time on average, more for larger g."""
     for g in GS:
         began = time.perf_counter()
-        share = core_seconds * (0.5 + g) / (0.5 + np.mean(GS))
+        share = core_seconds * (0.5 + g) / (0.5 + float(np.mean(GS)))
         samples = sample(g, np.array(ETAS), share, seed=SEED, n_threads=n_threads)
         save_samples(out / f"samples_g{g:g}.npz", samples)
         print(f"g {g}: {samples.n_photons.sum()} photons, {time.perf_counter() - began:.0f} s", file=sys.stderr)
@@ -63,7 +64,7 @@ def sample_all(out: Path, core_seconds: float, n_threads: int) -> None:
 
 def reference_all(out: Path, core_seconds: float, n_threads: int) -> None:
     """R_d, totals and radiance of the reference media by the absorbing engine, about `core_seconds` each."""
-    stored = {}
+    stored: dict[str, Any] = {}
     for name, (sigma_a, sigma_sp, g, eta) in REFERENCE_MEDIA.items():
         medium = MonteCarloMedium.reduced(sigma_a, sigma_sp, g, eta)
         far = min(

@@ -38,7 +38,7 @@ def _basis(eta: float, mu: Floats) -> Floats:
 
 
 @functools.cache
-def _share_to_coefficients(eta: float) -> Floats:
+def share_to_coefficients(eta: float) -> Floats:
     """Least squares from the shares of the bins to the polynomial, shape (DEGREE + 1, N_MU), errors as of counts."""
     square = (np.arange(N_MU)[:, None] + (1 + _NODES) / 2) / N_MU
     mean = np.einsum("bqk,q->bk", _basis(eta, np.sqrt(square)), _WEIGHTS / 2)
@@ -52,4 +52,4 @@ def angle_weights(eta: float, mu: float) -> Floats:
 
     The shares are those of all light that leaves: they add up to 1.
     """
-    return _basis(eta, np.asarray(mu, dtype=float)) @ _share_to_coefficients(eta)
+    return _basis(eta, np.asarray(mu, dtype=float)) @ share_to_coefficients(eta)

@@ -12,10 +12,10 @@ State = NDArray[np.uint64]
 """Four words of xoshiro256+, changed in place by each draw."""
 
 
-def stream_states(seed: int, n_streams: int) -> NDArray[np.uint64]:
-    """Independent generator states of shape (n_streams, 4), the same for the same seed on every machine."""
-    children = np.random.SeedSequence(seed).spawn(n_streams)
-    return np.stack([child.generate_state(4, np.uint64) for child in children])
+def stream_states(seed: int, n_streams: int, *key: int) -> NDArray[np.uint64]:
+    """Independent generator states of shape (n_streams, 4), the same for one seed and key on every machine."""
+    children = np.random.SeedSequence(seed, spawn_key=key).spawn(n_streams)
+    return np.stack([child.generate_state(4, np.uint64) for child in children]).astype(np.uint64)
 
 
 @njit(inline="always")

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from bssrdf.transport.discrete_ordinates import decay_constant
 from bssrdf.transport.exit_radiance import N_MU
 from bssrdf.transport.parallel import Progress, run_all
+from bssrdf.transport.photon import stream_states
 from bssrdf.transport.white_walk import COARSE, white_walk
 
 Floats = NDArray[np.float64]
@@ -24,8 +25,8 @@ Floats = NDArray[np.float64]
 Q_ZERO = 0.05
 Q_MAX = 0.98**0.5
 """α′ = 0.02."""
-N_Q = 24
-GROUPS = ((0, 4), (4, 7), (7, 10), (10, 13), (13, 16), (16, 19), (19, 22), (22, 24))
+N_Q = 32
+GROUPS = ((0, 4), (4, 7), (7, 10), (10, 13), (13, 16), (16, 20), (20, 25), (25, 32))
 """Nodes of q that one walk serves; the first is the one whose light it follows."""
 R_ZERO = 0.02
 """[1/σt′] radial bins are uniform in ln(1 + r/R_ZERO)."""
@@ -43,9 +44,20 @@ N_BATCHES = 32
 PILOT_PHOTONS = 2000
 
 
+def u_of(q: Floats | float) -> Floats:
+    """The coordinate ln(1 + q/Q_ZERO) − ½ ln α′ in which nodes are uniform and light varies evenly."""
+    return np.log1p(q / Q_ZERO) - np.log1p(-q * q) / 2
+
+
 def q_nodes() -> Floats:
-    """The N_Q nodes of q, from 0, uniform in ln(1 + q/Q_ZERO)."""
-    return Q_ZERO * np.expm1(np.linspace(0, np.log1p(Q_MAX / Q_ZERO), N_Q))
+    """The N_Q nodes of q, from 0 to Q_MAX, uniform in u."""
+    fine = Q_MAX * np.linspace(0, 1, 2001)
+    u = np.linspace(0, u_of(fine[-1]), N_Q)
+    q = np.interp(u, u_of(fine), fine)
+    for _ in range(6):
+        slope = 1 / (Q_ZERO + q) + q / (1 - q * q)
+        q -= (u_of(q) - u) / slope
+    return np.clip(q, 0, Q_MAX)
 
 
 def albedo_of(q: Floats, g: float) -> Floats:
@@ -96,9 +108,7 @@ class Walk:
         kappas = np.array([decay_constant(albedo, self.g) for albedo in albedos])
         unit = 1 / (1 - albedos[0] * self.g)
         conservative = self.group == 0
-        state = np.random.SeedSequence([seed, round(self.g * 1e6) % 2**32, self.group, index]).generate_state(
-            4, np.uint64
-        )
+        [state] = stream_states(seed, 1, self.group, index)
         shape = (self.etas.size, self.q.size)
         curve = np.zeros((N_R + 1, *shape))
         angles = np.zeros((N_R // COARSE, *shape, N_MU))

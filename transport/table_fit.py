@@ -1,0 +1,189 @@
+"""From white samples to a smooth table: penalised splines of the light scattered twice or more.
+
+With lengths in 1/σt′, q = √(1 − α′) and v = ln(1 + r/R_ZERO) the table holds S(u, v), u of `u_of`, in
+
+    R_multiple(r) = σt′² α′² e^S (1 + κ r) e^(−κ r)
+
+where κ is the exact decay constant. What is left in S varies slowly, so that cubic splines on uniform knots hold it.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+from scipy.interpolate import BSpline
+from scipy.linalg import cho_factor, cho_solve
+
+from bssrdf.transport.discrete_ordinates import decay_constant
+from bssrdf.transport.exit_radiance import DEGREE, share_to_coefficients
+from bssrdf.transport.white_samples import (
+    N_Q,
+    N_R,
+    Q_MAX,
+    R_MAX,
+    R_ZERO,
+    WhiteSamples,
+    albedo_of,
+    q_nodes,
+    radius_of_bin_edges,
+    u_of,
+)
+from bssrdf.transport.white_walk import COARSE
+
+Floats = NDArray[np.float64]
+
+U_MAX = float(u_of(Q_MAX))
+V_MAX = float(np.log1p(R_MAX / R_ZERO))
+N_U_CELLS = N_Q - 1
+N_V_CELLS = 46
+N_U_COARSE = 8
+N_V_COARSE = 10
+ROUGHNESS_U = 0.01
+ROUGHNESS_V = 0.01
+"""Expected third differences of the coefficients of S, along u and v."""
+BENDING_V = 0.5
+"""Expected second differences along v: where there is no light to sample, S goes on as a power of r."""
+ANGLE_ROUGHNESS = 0.02
+MAX_RELATIVE_ERROR = 0.5
+"""Bins that are worse than this say nothing to the logarithm."""
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(4)
+
+
+class FittedTable(NamedTuple):
+    """One (η, g): coefficients of cubic B-splines on uniform knots over [0, U_MAX] × [0, V_MAX]."""
+
+    log_curve: Floats
+    """(N_U_CELLS + 3, N_V_CELLS + 3): S."""
+    log_curve_sd: Floats
+    """(N_Q, N_V_CELLS + 1): standard error of S, relative error of the curve, at the knots."""
+    angles: Floats
+    """(N_U_COARSE + 3, N_V_COARSE + 3, DEGREE + 1): shape of the exit radiance, see `exit_radiance`."""
+    chi2: float
+    """Mean square of the residuals of the bins in their standard errors."""
+
+
+def basis(x: Floats, x_max: float, n_cells: int) -> sparse.csr_array:
+    """Cubic B-splines on n_cells uniform cells over [0, x_max], shape (n, n_cells + 3)."""
+    knots = np.arange(-3, n_cells + 4) * (x_max / n_cells)
+    return sparse.csr_array(BSpline.design_matrix(np.clip(x, 0, x_max), knots, 3))
+
+
+def kappa_reduced(q: Floats, g: float) -> Floats:
+    """Exact decay constant in units of σt′ at each q."""
+    albedo = albedo_of(q, g)
+    return np.array([decay_constant(a, g) for a in albedo]) / (1 - albedo * g)
+
+
+def log_decay(kappa_r: Floats) -> Floats:
+    """ln((1 + κ r) e^(−κ r))."""
+    return np.log1p(kappa_r) - kappa_r
+
+
+def fit_tables(samples: WhiteSamples) -> list[FittedTable]:
+    """One table for each of the samples' indices."""
+    return [_fit(samples, e) for e in range(samples.etas.size)]
+
+
+def _fit(samples: WhiteSamples, e: int) -> FittedTable:
+    q = q_nodes()
+    edges = radius_of_bin_edges(q, samples.g)
+    mean = samples.curve[e, :, :-1] / (np.pi * np.diff(edges**2)) / ((1 - q) * (1 + q))[:, None] ** 2
+    relative = _smooth_error(samples.curve_se[e, :, :-1], samples.curve[e, :, :-1])
+    usable = (relative < MAX_RELATIVE_ERROR) & (edges[:, 1:] < R_MAX)
+    rows, bins = np.nonzero(usable)
+    lo, hi = edges[rows, bins], edges[rows, bins + 1]
+    radii = lo[:, None] + (hi - lo)[:, None] * (1 + _NODES) / 2
+    known = log_decay(kappa_reduced(q, samples.g)[rows][:, None] * radii) + np.log(radii * _WEIGHTS)
+    along_u = basis(u_of(q)[rows], U_MAX, N_U_CELLS)
+    along_v = [basis(np.log1p(r / R_ZERO), V_MAX, N_V_CELLS) for r in radii.T]
+    at_radii = [_row_kron(along_u, b) for b in along_v]
+    target = np.log(mean[rows, bins] * (hi**2 - lo**2) / (hi - lo))
+    weight = 1 / relative[rows, bins]
+    penalty = _penalty()
+    coefficients = np.zeros(along_u.shape[1] * along_v[0].shape[1])
+    for _ in range(4):
+        log_parts = np.stack([m @ coefficients for m in at_radii], axis=1) + known
+        model = np.logaddexp.reduce(log_parts, axis=1)
+        parts = np.exp(log_parts - model[:, None])
+        design = sum(m.multiply(parts[:, i : i + 1]) for i, m in enumerate(at_radii))
+        weighted = sparse.csr_array(design).multiply(weight[:, None]).tocsr()
+        normal = (weighted.T @ weighted).toarray() + penalty
+        residual = target - model + design @ coefficients
+        factor = cho_factor(normal)
+        coefficients = cho_solve(factor, weighted.T @ (weight * residual))
+    chi2 = float(np.mean((weight * (residual - design @ coefficients)) ** 2))
+    shape = (N_U_CELLS + 3, N_V_CELLS + 3)
+    knots = _row_kron(
+        basis(np.repeat(u_of(q), N_V_CELLS + 1), U_MAX, N_U_CELLS),
+        basis(np.tile(np.linspace(0, V_MAX, N_V_CELLS + 1), N_Q), V_MAX, N_V_CELLS),
+    )
+    variance = np.einsum("ij,ji->i", knots @ np.eye(knots.shape[1]), cho_solve(factor, knots.T.toarray()))
+    sd = np.sqrt(variance).reshape(N_Q, N_V_CELLS + 1)
+    return FittedTable(coefficients.reshape(shape), sd, _fit_angles(samples, e, edges), chi2)
+
+
+def _smooth_error(se: Floats, value: Floats) -> Floats:
+    """Relative errors by bin, their own noise smoothed over neighbouring bins; infinite where no light came."""
+    relative = np.where(value > 0, se / np.where(value > 0, value, 1), np.inf)
+    padded = np.pad(relative, ((0, 0), (2, 2)), mode="edge")
+    around = np.lib.stride_tricks.sliding_window_view(padded, 5, axis=1)
+    return np.maximum(relative, np.median(around, axis=-1))
+
+
+def _row_kron(a: sparse.csr_array, b: sparse.csr_array) -> sparse.csr_array:
+    """Rows of a ⊗ rows of b, for factors of four entries a row."""
+    n = a.shape[0]
+    columns = a.indices.reshape(n, 4, 1) * b.shape[1] + b.indices.reshape(n, 1, 4)
+    values = a.data.reshape(n, 4, 1) * b.data.reshape(n, 1, 4)
+    pointers = np.arange(0, 16 * n + 1, 16)
+    return sparse.csr_array((values.ravel(), columns.ravel(), pointers), shape=(n, a.shape[1] * b.shape[1]))
+
+
+def _penalty() -> Floats:
+    """Prior precision of the coefficients of S: smooth along both axes, and even about u = 0.
+
+    ln R_d at fixed r has no term linear in q: the path lengths there have a finite mean.
+    """
+    n_u, n_v = N_U_CELLS + 3, N_V_CELLS + 3
+    third_u = np.diff(np.eye(n_u), 3, axis=0) / ROUGHNESS_U
+    third_v = np.diff(np.eye(n_v), 3, axis=0) / ROUGHNESS_V
+    second_v = np.diff(np.eye(n_v), 2, axis=0) / BENDING_V
+    even = np.zeros((1, n_u))
+    even[0, 0], even[0, 2] = 1e5, -1e5
+    across_u = third_u.T @ third_u + even.T @ even
+    across_v = third_v.T @ third_v + second_v.T @ second_v
+    return np.kron(across_u, np.eye(n_v)) + np.kron(np.eye(n_u), across_v)
+
+
+def _fit_angles(samples: WhiteSamples, e: int, edges: Floats) -> Floats:
+    """Polynomial coefficients of the exit radiance on the coarse grid, smoothed."""
+    q = q_nodes()
+    light = samples.angles[e]
+    flux = light.sum(-1)
+    share = light / np.where(flux > 0, flux, 1)[..., None]
+    error = samples.angles_se[e] / np.where(flux > 0, flux, 1)[..., None]
+    to_coefficients = share_to_coefficients(float(samples.etas[e]))
+    values = share @ to_coefficients.T
+    errors = np.sqrt(error**2 @ (to_coefficients.T**2))
+    middle = np.sqrt(edges[:, :-1:COARSE] * edges[:, COARSE::COARSE] + R_ZERO**2)
+    rows, bins = np.nonzero((flux > 0) & (errors[..., 0] < MAX_RELATIVE_ERROR))
+    design = _row_kron(
+        basis(u_of(q)[rows], U_MAX, N_U_COARSE),
+        basis(np.log1p(middle[rows, bins] / R_ZERO), V_MAX, N_V_COARSE),
+    )
+    n_u, n_v = N_U_COARSE + 3, N_V_COARSE + 3
+    second_u, second_v = np.diff(np.eye(n_u), 2, axis=0), np.diff(np.eye(n_v), 2, axis=0)
+    rough = np.kron(second_u.T @ second_u, np.eye(n_v)) + np.kron(np.eye(n_u), second_v.T @ second_v)
+    out = np.empty((n_u, n_v, DEGREE + 1))
+    for k in range(DEGREE + 1):
+        weighted = design.multiply(1 / np.maximum(errors[rows, bins, k], 1e-4)[:, None]).tocsr()
+        normal = (weighted.T @ weighted).toarray() + rough / ANGLE_ROUGHNESS**2
+        right = weighted.T @ (values[rows, bins, k] / np.maximum(errors[rows, bins, k], 1e-4))
+        out[..., k] = np.linalg.solve(normal, right).reshape(n_u, n_v)
+    return out
+
+
+assert N_R % COARSE == 0
