@@ -34,7 +34,6 @@ from bssrdf.session.toml_text import toml_table
 
 _NOT_NEGATIVE = number(at_least=0)
 _ANGLE = number(at_least=0, below=90)
-_FRACTION = number(at_least=0, below=1)
 
 
 def _table(value: Any) -> dict[str, Any]:
@@ -43,9 +42,10 @@ def _table(value: Any) -> dict[str, Any]:
     return dict(value)
 
 
-def _lost_fraction(value: Any) -> float | dict[str, float]:
-    lost: float | dict[str, float] = (by_channel(_FRACTION) if isinstance(value, Mapping) else _FRACTION)(value)
-    return lost
+def _one_or_by_channel(item: Check) -> Check:
+    """One value for all channels, or a table by channel."""
+    table = by_channel(item)
+    return lambda value: (table if isinstance(value, Mapping) else item)(value)
 
 
 HEADER: dict[str, Check] = {
@@ -57,9 +57,9 @@ HEADER: dict[str, Check] = {
     "view_angle_deg": _ANGLE,
     "incidence_deg": _ANGLE,
     "spot_radius_mm": number(above=0),
-    "total_r": by_channel(number(above=0, at_most=1.1)),
-    "total_r_sd": by_channel(_NOT_NEGATIVE),
-    "lost_fraction": _lost_fraction,
+    "total_r": _one_or_by_channel(number(above=0, at_most=1.1)),
+    "total_r_sd": _one_or_by_channel(_NOT_NEGATIVE),
+    "lost_fraction": _one_or_by_channel(number(at_least=0, below=1)),
     "scale_rel_sd": _NOT_NEGATIVE,
     "mm_rel_sd": _NOT_NEGATIVE,
     "flags": lambda value: list_of(text)(value) if value else (),
@@ -75,19 +75,19 @@ Lines = NDArray[np.int64]
 
 
 def read_slice(path: Path, **overrides: Any) -> Slice:
-    """The curve in `path`; `overrides` are keys of its header that win over it, None where not given."""
+    """The curve in `path`; `overrides` are keys of its header that win over it, by channel; None is not given."""
     header_text, table_text = _split(read_text(path))
     raw = parse_toml(path, header_text)
     check_format(path, raw.pop("format", FORMAT))
-    raw |= {key: value for key, value in overrides.items() if value is not None}
+    channels = dict(_channels(path, table_text))
+    raw |= {key: _over(raw.get(key), value, channels) for key, value in overrides.items() if value is not None}
     header = checked(path, "", raw, HEADER)
     for key, example in _REQUIRED.items():
         if key not in header:
             raise InputError(f"{path}: lacks {key}; add a line such as `# {example}` or give --{key}")
-    channels = dict(_channels(path, table_text))
-    if isinstance(header.get("lost_fraction"), float):
-        header["lost_fraction"] = dict.fromkeys(channels, header["lost_fraction"])
     for key in _BY_CHANNEL:
+        if isinstance(header.get(key), float):
+            header[key] = dict.fromkeys(channels, header[key])
         known_keys(path, f"channel in {key} ", header.get(key, {}), channels)
     return Slice(channels=channels, **header)
 
@@ -105,6 +105,13 @@ def write_slice(path: Path, curve: Slice) -> None:
     commented = "".join(f"# {line}\n" for line in document.rstrip("\n").split("\n"))
     with atomic_write(path) as unfinished:
         unfinished.write_text(commented + csv_text(rows), encoding="utf-8", newline="")
+
+
+def _over(value: Any, override: Any, channels: Iterable[str]) -> Any:
+    """The override; one for some channels leaves the value of the others as it is."""
+    if value is None or not isinstance(override, Mapping):
+        return override
+    return {**(value if isinstance(value, Mapping) else dict.fromkeys(channels, value)), **override}
 
 
 def _split(content: str) -> tuple[str, str]:

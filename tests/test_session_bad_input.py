@@ -143,7 +143,7 @@ def test_no_dark_for_an_exposure() -> None:
 
 
 SLICE_CASES = {
-    "empty": ("", ["eta"]),
+    "empty": ("", ["holds no table", "channel,r_mm"]),
     "no rows": (SLICE_HEADER + COLUMNS, ["no row"]),
     "no table": (SLICE_HEADER, ["no table"]),
     "a format of the future": ("# format = 7\n" + SLICE_HEADER + COLUMNS + "G,1,1,1\n", ["format = 7", "update"]),
@@ -189,9 +189,9 @@ SLICE_CASES = {
         SLICE_HEADER + "# total_r = { B = 0.5 }\n" + COLUMNS + "G,1,1,1\n",
         ["total_r", "B", "G"],
     ),
-    "a total that is no table": (
-        SLICE_HEADER + "# total_r = 0.5\n" + COLUMNS + "G,1,1,1\n",
-        ["total_r = 0.5", "table"],
+    "a total that is no number": (
+        SLICE_HEADER + "# total_r = '0.5'\n" + COLUMNS + "G,1,1,1\n",
+        ["total_r = '0.5'", "number"],
     ),
     "all the light lost": (
         SLICE_HEADER + "# lost_fraction = 1\n" + COLUMNS + "G,1,1,1\n",

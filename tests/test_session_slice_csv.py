@@ -125,9 +125,17 @@ def test_key_from_the_command_line_stands_in_for_a_missing_one(minimal: Path) ->
     assert read_slice(minimal, eta=1.4).eta == 1.4
 
 
-def test_lost_fraction_as_one_number_holds_for_every_channel(minimal: Path) -> None:
-    minimal.write_text("# lost_fraction = 0.02\n" + MINIMAL)
-    assert read_slice(minimal).lost_fraction == {"G": 0.02, "R": 0.02}
+@pytest.mark.parametrize("key", ["total_r", "total_r_sd", "lost_fraction"])
+def test_one_number_holds_for_every_channel(minimal: Path, key: str) -> None:
+    minimal.write_text(f"# {key} = 0.02\n" + MINIMAL)
+    assert getattr(read_slice(minimal), key) == {"G": 0.02, "R": 0.02}
+
+
+@pytest.mark.parametrize("header", ["total_r = 0.8", "total_r = { G = 0.8, R = 0.8 }"])
+def test_number_for_one_channel_from_the_command_line_leaves_the_others(minimal: Path, header: str) -> None:
+    minimal.write_text(f"# {header}\n" + MINIMAL)
+    assert read_slice(minimal, total_r={"G": 0.7}).total_r == {"G": 0.7, "R": 0.8}
+    assert read_slice(minimal, total_r=0.6).total_r == {"G": 0.6, "R": 0.6}
 
 
 def test_sides_ascend_each_for_itself(minimal: Path) -> None:
