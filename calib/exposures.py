@@ -14,7 +14,6 @@ Array = NDArray[np.float64]
 
 LABEL_REL_SD = 0.05
 """How far a label is trusted: EXIF times are rounded by up to 6.7 %."""
-_LEAST_SHARE = 0.01
 _LEAST_DN = 20.0
 _LEAST_SD = 8.0
 _MOST_SHARE = 0.9
@@ -35,12 +34,18 @@ class Ratio(NamedTuple):
 
 
 class Exposures(NamedTuple):
-    """Exposure times by label [s], with relative standard errors."""
+    """Exposure times by label [s], with the covariance of their logarithms."""
 
+    labels_s: tuple[float, ...]
     seconds: dict[float, float]
-    rel_sd: dict[float, float]
+    covariance: Array
     residual: float
     """Largest relative disagreement of a measured ratio with these times that its error does not explain."""
+
+    @property
+    def rel_sd(self) -> dict[float, float]:
+        """Relative standard errors, the common scale left out: it cancels between sample and reference."""
+        return dict(zip(self.labels_s, np.sqrt(np.maximum(np.diag(self.covariance), 0)).tolist(), strict=True))
 
     def of(self, label_s: float) -> float:
         """The time that frames of this label are taken to have lasted; the label itself where nothing was learnt."""
@@ -56,7 +61,7 @@ def comparable(
     the times, so the choice does not bias it; a choice by either value would.
     """
     span = sensor.saturation_dn - sensor.black_dn
-    least = max(_LEAST_SHARE * span, _LEAST_DN, _LEAST_SD * np.sqrt(sensor.read_var_dn()))
+    least = max(_LEAST_DN, _LEAST_SD * np.sqrt(sensor.read_var_dn()))
     total = shorter + longer
     return (total > least * (1 + ratio)) & (total < _MOST_SHARE * span * (1 + 1 / ratio))
 
@@ -102,16 +107,15 @@ def solve_exposures(labels_s: Sequence[float], ratios: Sequence[Ratio]) -> Expos
         normal += np.outer(step, step) / ratio.var
         right += step * _departure(ratio) / ratio.var
     log_scale = np.linalg.solve(normal, right)
-    covariance = np.linalg.inv(normal)
-    common = np.ones(len(labels)) / len(labels)
-    spread = np.diag(covariance) - 2 * covariance @ common + common @ covariance @ common
+    shape = np.eye(len(labels)) - 1 / len(labels)
     residuals = [0.0]
     for ratio in ratios:
         left = _departure(ratio) - log_scale[place[ratio.longer_s]] + log_scale[place[ratio.shorter_s]]
         residuals.append(max(0.0, abs(float(left)) - 4 * float(np.sqrt(ratio.var))))
     return Exposures(
+        tuple(labels),
         {label: float(label * np.exp(log_scale[i])) for label, i in place.items()},
-        {label: float(np.sqrt(max(spread[i], 0))) for label, i in place.items()},
+        shape @ np.linalg.inv(normal) @ shape,
         max(residuals),
     )
 

@@ -15,6 +15,7 @@ from bssrdf.calib.saturation import plateau_dn
 from bssrdf.calib.sensor import Sensor
 from bssrdf.measure.bracket import Bracket
 from bssrdf.measure.levels import Level, levels_of
+from bssrdf.measure.merge import Progress
 from bssrdf.session.frame_files import read_frame_file
 from bssrdf.session.records import Camera
 
@@ -59,14 +60,14 @@ class _Found:
     flux_rel_sd: dict[str, float] = field(default_factory=dict)
 
 
-def learn_camera(brackets: Sequence[Bracket], camera: Camera, period: int) -> Learnt:
+def learn_camera(brackets: Sequence[Bracket], camera: Camera, period: int, progress: Progress | None = None) -> Learnt:
     """Complete the model of `camera` from the frames of all brackets together."""
     sensor = _first_guess(brackets, camera)
-    found = _compare(brackets, sensor, period)
+    found = _compare(brackets, sensor, period, progress)
     lowest = min(found.plateaus, default=np.inf)
     if lowest < sensor.saturation_dn:
         sensor = replace(sensor, saturation_dn=lowest - _MARGIN * (lowest - sensor.black_dn))
-        found = _compare(brackets, sensor, period)
+        found = _compare(brackets, sensor, period, progress)
 
     flags = []
     gain = camera.gain_e_per_dn
@@ -102,7 +103,7 @@ def _first_guess(brackets: Sequence[Bracket], camera: Camera) -> Sensor:
     return Sensor(black, saturation, gain, read_noise_e, clipped)
 
 
-def _compare(brackets: Sequence[Bracket], sensor: Sensor, period: int) -> _Found:
+def _compare(brackets: Sequence[Bracket], sensor: Sensor, period: int, progress: Progress | None) -> _Found:
     """Hold each level of each bracket against the one before it."""
     found = _Found()
     noise_dn = float(np.sqrt(sensor.read_var_dn()))
@@ -115,6 +116,8 @@ def _compare(brackets: Sequence[Bracket], sensor: Sensor, period: int) -> _Found
             if before is not None:
                 _compare_pair(found, before, level, seconds[level.label_s] / seconds[before.label_s], sensor, period)
             before = level
+            if progress:
+                progress(f"compare {bracket.kind}", len(scatters), len(set(seconds)))
         found.flux_rel_sd[bracket.kind] = max(scatters)
     return found
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +13,8 @@ from bssrdf.session.records import Beam
 Array = NDArray[np.float64]
 
 
-class ChannelPixels(NamedTuple):
+@dataclass(frozen=True)
+class ChannelPixels:
     """The pixels of one channel, arrays of shape (n,)."""
 
     x_px: Array
@@ -21,6 +22,8 @@ class ChannelPixels(NamedTuple):
     value: Array
     """Radiance [DN/s]."""
     variance: Array
+    count: NDArray[np.uint8]
+    """Samples that were merged."""
     good: NDArray[np.bool_]
     """Not saturated everywhere, not hot."""
     saturated: NDArray[np.bool_]
@@ -32,7 +35,8 @@ def channel_names(layout: str, beam: Beam) -> tuple[str, ...]:
     """All channels of a camera layout, in the order of `reference.reflectance`."""
     if layout == "mono":
         return (beam.channels or ("mono",))[:1]
-    return ("R", "G", "B")
+    letters = "RGB" if layout == "rgb" else sorted(set(layout), key="RGBCMYEW".index)
+    return tuple(letters)
 
 
 def mosaic_period(layout: str) -> int:
@@ -63,6 +67,7 @@ def _flat(hdr: Hdr, carries: NDArray[np.bool_], index: int | None = None) -> Cha
         y_px.astype(float),
         value.astype(float),
         variance.astype(float),
+        hdr.count[where],
         (mask == 0) & np.isfinite(value),
         (mask & SATURATED) > 0,
         carries.size / carries.sum(),

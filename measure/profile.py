@@ -21,6 +21,7 @@ _GROWTH = 0.04
 """A bin is this fraction of its radius wide, or one step of the channel's grid."""
 _REJECT_SD = 6.0
 _PASSES = 3
+_FAR_FOOTPRINTS = 30
 _NODES = np.polynomial.legendre.leggauss(3)
 
 
@@ -147,13 +148,17 @@ def _bins(
 
 
 def _footprint_mean(curve: Curve, points: Points, footprint: tuple[float, float]) -> Array:
-    """The curve averaged over each pixel's rectangle, by Gauss–Legendre quadrature."""
+    """The curve averaged over each pixel's rectangle, by Gauss–Legendre quadrature; far out, its value there."""
     nodes, weights = _NODES
-    out = np.zeros_like(points.across)
+    r = np.hypot(points.across, points.along)
+    out = curve(r)
+    near = r < _FAR_FOOTPRINTS * max(footprint)
+    across, along = points.across[near], points.along[near]
+    out[near] = 0
     for u, weight_u in zip(nodes, weights, strict=True):
         for v, weight_v in zip(nodes, weights, strict=True):
-            r = np.hypot(points.across + u * footprint[0] / 2, points.along + v * footprint[1] / 2)
-            out += weight_u * weight_v / 4 * curve(r)
+            corner = np.hypot(across + u * footprint[0] / 2, along + v * footprint[1] / 2)
+            out[near] += weight_u * weight_v / 4 * curve(corner)
     return out
 
 

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from bssrdf.calib.spot import Spot, find_spot
 from bssrdf.calib.surface import Surface
@@ -23,6 +24,10 @@ from bssrdf.session.records import Array, ChannelSlice
 _BAND_PX = 10
 _OUTLINE_STEPS = 200
 _SPOT_SD_PX = 3.0
+_SPOT_REACH_PX = 60
+_RING_POINTS = 2000
+_SECOND_PEAK = 0.05
+_SECOND_CONTRAST = 4.0
 
 
 @dataclass(frozen=True)
@@ -40,6 +45,10 @@ class Image:
     def pixels(self, channel: str) -> ChannelPixels:
         return pixels_of(self.hdr, self.layout, channel)
 
+    def is_saturated(self, channel: str) -> bool:
+        """Whether some pixel of the channel is saturated in every exposure, hot ones left out."""
+        return bool(self.pixels(channel).saturated.any())
+
     def outline(self, spot: Spot) -> tuple[Array, Array]:
         """The edge of the frame on the surface, (across, along) from the spot, once round."""
         height, width = self.hdr.radiance.shape[:2]
@@ -53,10 +62,7 @@ class Image:
 def locate(image: Image) -> Spot:
     """The spot, from all channels together; InputError where the beam misses the frame."""
     period = mosaic_period(image.layout)
-    brightness = np.nan_to_num(image.hdr.radiance, nan=0.0)
-    brightness[image.hdr.mask != 0] = 0
-    brightness = brightness if brightness.ndim == 2 else brightness.mean(axis=2)
-    smooth = cv2.blur(brightness, (2 * period + 1, 2 * period + 1), borderType=cv2.BORDER_REPLICATE)
+    smooth = _smooth_brightness(image)
     row, column = np.unravel_index(int(np.argmax(smooth)), smooth.shape)
     height, width = smooth.shape
     if min(row, column, height - 1 - row, width - 1 - column) < 2 * period:
@@ -64,10 +70,43 @@ def locate(image: Image) -> Spot:
             f"{image.name}: the brightest point ({column}, {row}) lies on the edge of the frame; "
             "bring the beam into the frame"
         )
-    every = [image.pixels(channel) for channel in image.channels]
-    x, y = (np.concatenate([getattr(p, axis)[p.good] for p in every]) for axis in ("x_px", "y_px"))
-    value = np.concatenate([p.value[p.good] / p.value[p.good].max() for p in every])
+    near = _SPOT_REACH_PX * period
+    parts = []
+    for pixels in (image.pixels(channel) for channel in image.channels):
+        used = pixels.good & (np.abs(pixels.x_px - column) < near) & (np.abs(pixels.y_px - row) < near)
+        value = pixels.value[used]
+        parts.append((pixels.x_px[used], pixels.y_px[used], value / value.max(initial=1e-300)))
+    x, y, value = (np.concatenate(each) for each in zip(*parts, strict=True))
     return find_spot(x, y, value, (float(column), float(row)), _SPOT_SD_PX)
+
+
+def _smooth_brightness(image: Image) -> NDArray[np.float32]:
+    """Mean of the channels around each pixel, bad pixels black."""
+    radiance = np.where((image.hdr.mask == 0) & np.isfinite(image.hdr.radiance), image.hdr.radiance, 0)
+    radiance = radiance if radiance.ndim == 2 else radiance.mean(axis=2)
+    size = 2 * mosaic_period(image.layout) + 1
+    blurred = cv2.blur(radiance.astype(np.float32), (size, size), borderType=cv2.BORDER_REPLICATE)
+    return np.asarray(blurred, np.float32)
+
+
+def has_second_spot(image: Image, spot: Spot) -> bool:
+    """Whether some place is as bright as a twentieth of the spot, and far brighter than others at its distance."""
+    smooth = _smooth_brightness(image)
+    y_px, x_px = np.mgrid[: smooth.shape[0] : 2, : smooth.shape[1] : 2].astype(float)
+    distance = np.hypot(*image.surface.centred(x_px.ravel(), y_px.ravel(), (spot.x_px, spot.y_px)))
+    bright = smooth[::2, ::2].ravel()
+    rings = np.argsort(distance)
+    for ring in np.array_split(rings, max(1, len(rings) // _RING_POINTS))[1:]:
+        if bright[ring].max() > max(_SECOND_PEAK * smooth.max(), _SECOND_CONTRAST * np.median(bright[ring])):
+            return True
+    return False
+
+
+def spot_radius_mm(image: Image, spot: Spot) -> float:
+    """1/e² radius of the spot's image on the surface, across the view."""
+    column = 0 if image.surface.geometry.view_axis == "y" else 1
+    sd_px = float(np.sqrt(spot.covariance_px2[column, column]))
+    return 2 * sd_px * _footprint(image, spot)[0]
 
 
 @dataclass(frozen=True)
@@ -80,6 +119,10 @@ class Total:
     """Share of `light` that left the frame."""
     floor: Estimate
     """Veiling glare [DN/s] that was taken off every pixel."""
+    profile: Profile
+    """Radiance over the distance from the spot, from the whole image."""
+    light_by_count: Array
+    """Light within the frame by the number of samples that were merged for its pixel."""
 
 
 def total_light(image: Image, channel: str, spot: Spot, boundary: Boundary, *, glare: bool) -> Total:
@@ -98,16 +141,17 @@ def total_light(image: Image, channel: str, spot: Spot, boundary: Boundary, *, g
     inside = float(value @ area)
     variance = float(np.where(pixels.good, pixels.variance, 0.0) @ area**2)
 
+    by_count = np.bincount(pixels.count, value * area).astype(float)
     outline = image.outline(spot)
     fit = fit_tail(curve, float(np.hypot(*outline).min()), boundary, with_floor=glare)
     if fit is None:
-        return Total(inside, float(np.sqrt(variance)), 0.0, Estimate(0.0, 0.0))
+        return Total(inside, float(np.sqrt(variance)), 0.0, Estimate(0.0, 0.0), curve, by_count)
     frame = float(area.sum())
     outside = fit.estimate(lambda tail: tail.beyond(outline) - tail.floor * frame)
     floor = fit.estimate(lambda tail: tail.floor)
     light = inside + outside.value
     lost = fit.tail.beyond(outline) / light
-    return Total(light, float(np.sqrt(variance + outside.sd**2)), lost, floor)
+    return Total(light, float(np.sqrt(variance + outside.sd**2)), lost, floor, curve, by_count)
 
 
 def _points(image: Image, channel: str, spot: Spot) -> Points:

@@ -1,0 +1,190 @@
+"""From the two images of a session to its slice: the curve, the totals, their errors and flags."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from bssrdf.calib.exposures import Exposures
+from bssrdf.calib.spot import Spot
+from bssrdf.errors import InputError
+from bssrdf.measure.budget import exposure_shares, exposures_rel_sd, speckle_rel_sd
+from bssrdf.measure.pixels import channel_names
+from bssrdf.measure.profile import Profile
+from bssrdf.measure.reflectance import (
+    Image,
+    Total,
+    channel_slice,
+    has_second_spot,
+    locate,
+    slice_profiles,
+    spot_radius_mm,
+    total_light,
+)
+from bssrdf.measure.tail import Boundary
+from bssrdf.session.records import ChannelSlice, Geometry, Material, Reference, Session, Slice
+from bssrdf.transport.fresnel import boundary_a
+
+_TILE_ETA = 1.35
+"""Sintered PTFE."""
+_MUCH_LOST = 0.02
+_DISAGREE_REL = 0.02
+_LEAST_BINS = 10
+
+
+@dataclass(frozen=True)
+class Timing:
+    """The frames of one kind as they were merged, shortest first."""
+
+    labels_s: tuple[float, ...]
+    seconds: tuple[float, ...]
+    flux_rel_sd: float
+    """Relative scatter of the light between repeats."""
+
+
+@dataclass(frozen=True)
+class Options:
+    """How to read the images. Lengths in mm."""
+
+    radial: bool = False
+    glare: bool = False
+    band_mm: float | None = None
+    """Full width of the slice along the view; ten pixels if None."""
+
+
+def measure_slice(
+    session: Session,
+    sample: Image,
+    reference: Image,
+    timing: Mapping[str, Timing],
+    exposures: Exposures,
+    options: Options,
+) -> Slice:
+    """The slice of a session, in the camera's own convention; InputError where no channel can be measured.
+
+    `timing` and `exposures` are of the brackets that were merged here; images merged elsewhere have none.
+    """
+    material, geometry, tile = _tables(session)
+    spots = locate(sample), locate(reference)
+    boundaries = _boundary(material.eta, geometry), _boundary(_TILE_ETA, geometry)
+    flags = _image_flags(session, sample, reference, spots)
+    channels: dict[str, ChannelSlice] = {}
+    totals: dict[str, float] = {}
+    totals_sd: dict[str, float] = {}
+    lost: dict[str, float] = {}
+    for channel in sample.channels:
+        if reference.is_saturated(channel):
+            continue
+        back, incident = (
+            total_light(image, channel, spot, boundary, glare=options.glare)
+            for image, spot, boundary in zip((sample, reference), spots, boundaries, strict=True)
+        )
+        per_light = reflectance_of(tile, channel, session, sample) / incident.light
+        profiles = {0: back.profile} if options.radial else slice_profiles(sample, channel, spots[0], options.band_mm)
+        channels[channel] = channel_slice(profiles, back.floor, per_light)
+        lost[channel] = back.lost_fraction
+        if not sample.is_saturated(channel):
+            totals[channel] = back.light * per_light
+            relative = _relative_errors(back, incident, timing, exposures)
+            if session.beam.kind == "laser":
+                radius_mm = session.beam.spot_radius_mm or spot_radius_mm(reference, spots[1])
+                relative.append(speckle_rel_sd(radius_mm, channel, geometry.view_angle_deg))
+            totals_sd[channel] = totals[channel] * float(np.linalg.norm(relative))
+        raised = {
+            "light_lost": max(back.lost_fraction, incident.lost_fraction) > _MUCH_LOST,
+            "slice_radial_disagree": not options.radial and any(_disagree(p, back.profile) for p in profiles.values()),
+        }
+        flags += [flag for flag, is_raised in raised.items() if is_raised]
+    if not channels:
+        raise InputError(f"{reference.name}: every channel is saturated at the spot; add shorter exposures")
+    return Slice(
+        channels=channels,
+        eta=material.eta,
+        flux="incident",
+        exit="fresnel",
+        view_angle_deg=geometry.view_angle_deg,
+        incidence_deg=session.beam.incidence_deg,
+        total_r=totals,
+        total_r_sd=totals_sd,
+        material=material.name,
+        g=material.g,
+        spot_radius_mm=session.beam.spot_radius_mm,
+        lost_fraction=lost,
+        scale_rel_sd=_scale_rel_sd(tile),
+        mm_rel_sd=geometry.mm_per_px_rel_sd,
+        flags=tuple(dict.fromkeys(flags)),
+    )
+
+
+def _tables(session: Session) -> tuple[Material, Geometry, Reference]:
+    """The tables that a slice needs; InputError where one is missing."""
+    for name in ("material", "geometry", "reference"):
+        if getattr(session, name) is None:
+            raise InputError(f"{session.path / 'session.toml'}: has no [{name}]; add it, or measure with --hdr-only")
+    assert session.material
+    assert session.geometry
+    assert session.reference
+    return session.material, session.geometry, session.reference
+
+
+def _boundary(eta: float, geometry: Geometry) -> Boundary:
+    """How light leaves towards the camera."""
+    inside = np.sin(np.radians(geometry.view_angle_deg)) / max(eta, 1.0)
+    return Boundary(float(boundary_a(max(eta, 1.0))), float(np.sqrt(1 - inside**2)))
+
+
+def _image_flags(session: Session, sample: Image, reference: Image, spots: tuple[Spot, Spot]) -> list[str]:
+    raised = {
+        "second_spot": any(has_second_spot(*pair) for pair in zip((sample, reference), spots, strict=True)),
+        "saturated": any(image.is_saturated(c) for image in (sample, reference) for c in sample.channels),
+        "speckle": session.beam.kind == "laser",
+    }
+    return [flag for flag, is_raised in raised.items() if is_raised]
+
+
+def _relative_errors(back: Total, incident: Total, timing: Mapping[str, Timing], exposures: Exposures) -> list[float]:
+    """Independent relative errors of the ratio of two totals."""
+    sample, reference = (
+        exposure_shares(total.light_by_count, timing[kind].labels_s, timing[kind].seconds) if kind in timing else {}
+        for kind, total in (("sample", back), ("reference", incident))
+    )
+    return [
+        back.sd / back.light,
+        incident.sd / incident.light,
+        exposures_rel_sd(sample, reference, exposures),
+        *(kind.flux_rel_sd for kind in timing.values()),
+    ]
+
+
+def _disagree(side: Profile, everywhere: Profile) -> bool:
+    """Whether one side of the slice departs from the whole image by more than noise and a few percent."""
+    clear = (side.value > 10 * side.sd) & (side.r < everywhere.r[-1])
+    if clear.sum() < _LEAST_BINS:
+        return False
+    departure = side.value[clear] / everywhere.curve()(side.r[clear]) - 1
+    noise = np.sqrt(np.mean((side.sd[clear] / side.value[clear]) ** 2))
+    return bool(np.sqrt(np.mean(departure**2)) > np.hypot(_DISAGREE_REL, 2 * noise))
+
+
+def reflectance_of(tile: Reference, channel: str, session: Session, image: Image) -> float:
+    """The tile's radiance factor in a channel: one value for all, one for each channel, or one for each used."""
+    values = tile.reflectance
+    every = channel_names(image.layout, session.beam)
+    if len(values) == 1:
+        return values[0]
+    for names in (every, image.channels):
+        if len(values) == len(names):
+            return values[names.index(channel)]
+    raise InputError(
+        f"{session.path / 'session.toml'}: [reference] reflectance has {len(values)} values for the {len(every)} "
+        f"channels {', '.join(every)}; give one for each"
+    )
+
+
+def _scale_rel_sd(tile: Reference) -> float:
+    """Largest relative error of the tile's reflectance over the channels."""
+    if tile.reflectance_sd is None:
+        return 0.0
+    return max(sd / value for sd, value in zip(tile.reflectance_sd, tile.reflectance, strict=True))
