@@ -15,6 +15,7 @@ from bssrdf.transport.inverse_total import absorption_ratio, albedo_p
 
 ETAS = (1.0, 1.3, 1.5, 3.0)
 SLOPE = jax.jit(jax.grad(absorption_ratio, (0, 1)))
+FORWARD = jax.jit(jax.jacfwd(absorption_ratio))
 CURVATURE = jax.jit(jax.grad(jax.grad(absorption_ratio)))
 
 
@@ -58,8 +59,7 @@ def test_out_of_range_is_the_nearest_end_and_nan_stays() -> None:
     np.testing.assert_array_equal(albedo_p(total_r, 1.3), [1, 1, 0, 0, np.nan])
 
 
-@pytest.mark.parametrize("eta", [1.3, 1.5])
-@pytest.mark.parametrize("total_r", [0.05, 0.5, 0.9, 0.999])
+@pytest.mark.parametrize(("total_r", "eta"), [(0.05, 1.3), (0.5, 1.5), (0.9, 0.8), (0.999, 1.3)])
 def test_derivatives_agree_with_finite_differences(total_r: float, eta: float) -> None:
     h = 1e-5 * (1 - total_r)
     by_r = (absorption_ratio(total_r + h, eta) - absorption_ratio(total_r - h, eta)) / (2 * h)
@@ -67,7 +67,7 @@ def test_derivatives_agree_with_finite_differences(total_r: float, eta: float) -
     np.testing.assert_allclose(SLOPE(total_r, eta), (by_r, by_eta), rtol=1e-6)
     curvature = (SLOPE(total_r + h, eta)[0] - SLOPE(total_r - h, eta)[0]) / (2 * h)
     assert CURVATURE(total_r, eta) == pytest.approx(float(curvature), rel=1e-6)
-    assert jax.jacfwd(absorption_ratio)(total_r, eta) == pytest.approx(float(SLOPE(total_r, eta)[0]), rel=1e-12)
+    assert FORWARD(total_r, eta) == pytest.approx(float(SLOPE(total_r, eta)[0]), rel=1e-12)
 
 
 @pytest.mark.parametrize("x64", [True, False])
