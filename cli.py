@@ -1,12 +1,8 @@
-"""The command line: each command parses, calls one function, prints its result and sets the exit code.
-
-0 done · 1 a bug of ours · 2 wrong usage · 3 bad input · 4 a device failed · 5 flagged, with --strict · 130 interrupted
-"""
+"""The command line: each command parses, calls one function, prints its result and sets the exit code."""
 
 from __future__ import annotations
 
 import sys
-import traceback
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar
@@ -14,74 +10,25 @@ from typing import Any, TypeVar
 import click
 
 from bssrdf import __version__
+from bssrdf.console import BAD_INPUT, Group, is_quiet, keep_compiled, run, warn
 from bssrdf.errors import BssrdfError, UsageError
+
+FLAGGED = 5
 
 Decorated = TypeVar("Decorated", bound=Callable[..., Any])
 FOLDER = click.Path(path_type=Path)
 FILE = click.Path(path_type=Path, dir_okay=False)
 
 
-class Command(click.Command):
-    """A command with the options that every command has."""
-
-    def __init__(self, *args: Any, **kwargs: Any) -> None:
-        super().__init__(*args, **kwargs)
-        self.params += [
-            click.Option(["--quiet"], is_flag=True, expose_value=False, callback=_remember, help="No progress."),
-            click.Option(["--debug"], is_flag=True, expose_value=False, callback=_remember, help="Show tracebacks."),
-        ]
-
-
-class Group(click.Group):
-    """A group whose commands are `Command`s."""
-
-    command_class = Command
-    group_class = type
-
-
-def _remember(context: click.Context, option: click.Parameter, given: bool) -> bool:
-    settings = context.find_root().ensure_object(dict)
-    settings[option.name] = settings.get(option.name, False) or given
-    return given
-
-
-def _quiet() -> bool:
-    return bool(click.get_current_context().find_root().ensure_object(dict).get("quiet"))
-
-
 @click.group(cls=Group, context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(__version__, prog_name="bssrdf")
-@click.option("--quiet", is_flag=True, expose_value=False, callback=_remember, help="No progress.")
-@click.option("--debug", is_flag=True, expose_value=False, callback=_remember, help="Show tracebacks.")
 def cli() -> None:
     """Measure, fit and render light under the surface of translucent materials."""
 
 
 def main(arguments: list[str] | None = None) -> None:
     """Run the command line and leave with its exit code."""
-    arguments = sys.argv[1:] if arguments is None else arguments
-    try:
-        code = cli.main(arguments, prog_name="bssrdf", standalone_mode=False)
-    except click.exceptions.Exit as stop:
-        code = stop.exit_code
-    except click.ClickException as error:
-        error.show()
-        code = 2
-    except (click.Abort, KeyboardInterrupt):
-        click.echo("bssrdf: interrupted", err=True)
-        code = 130
-    except BssrdfError as error:
-        code = _fail(arguments, error, f"bssrdf: {error}", error.exit_code)
-    except Exception as error:
-        code = _fail(arguments, error, f"bssrdf: a bug of ours: {error!r} (--debug shows where)", 1)
-    sys.exit(code if isinstance(code, int) else 0)
-
-
-def _fail(arguments: list[str], error: Exception, line: str, code: int) -> int:
-    if "--debug" in arguments:
-        traceback.print_exception(error)
-    click.echo(line, err=True)
-    return code
+    sys.exit(run(cli, sys.argv[1:] if arguments is None else arguments))
 
 
 def _force(command: Decorated) -> Decorated:
@@ -111,30 +58,36 @@ def init(session: Path, force: bool) -> None:
 @click.option(
     "--kind", "kinds", multiple=True, metavar="GLOB=KIND", help="Kind of the files that match; the last match wins."
 )
-@click.option("--select", metavar="TEXT", help="Only files with TEXT in their path, and those that a --kind names.")
+@click.option("--select", metavar="TEXT", help="Only light frames with TEXT in their path; darks are kept.")
 @click.option("--layout", help='Colour filter pattern such as RGGB, "mono" or "rgb", where the file does not tell.')
-@click.option("--black", type=float, help="DN at no light.")
-@click.option("--white", type=float, help="DN at saturation.")
+@click.option("--black", type=float, help="DN without light, where the file does not tell.")
+@click.option("--white", type=float, help="DN at saturation, where the file does not tell.")
 @_force
-def ingest(
-    folder: Path,
-    out: Path,
-    kinds: tuple[str, ...],
-    select: str | None,
-    layout: str | None,
-    black: float | None,
-    white: float | None,
-    force: bool,
-) -> None:
+def ingest(folder: Path, out: Path, kinds: tuple[str, ...], select: str | None, force: bool, **camera: Any) -> None:
     """Copy the RAW or TIFF files of FOLDER into a session; exposures from EXIF or from file names."""
     from bssrdf.session.ingest import ingest_folder
-    from bssrdf.session.records import Camera
 
-    frames = ingest_folder(
-        folder, _fresh(out, force), kinds=kinds, select=select, camera=Camera(layout=layout, black=black, white=white)
-    )
+    frames = ingest_folder(folder, _fresh(out, force), kinds=kinds, select=select, camera=camera)
     counts = {kind: sum(frame.kind == kind for frame in frames) for kind in sorted({frame.kind for frame in frames})}
     click.echo(f"{out}: " + ", ".join(f"{n} {kind}" for kind, n in counts.items()))
+    click.echo(
+        f"{out / 'session.toml'}: fill in what was measured and with what; `measure --hdr-only` needs [camera] alone"
+    )
+
+
+@cli.command()
+@click.argument("session", type=FOLDER)
+def verify(session: Path) -> None:
+    """Look whether SESSION is complete and unchanged: tables, frames, checksums, darks."""
+    from bssrdf.session.verify import verify_session
+
+    verified = verify_session(session)
+    for fault in verified.faults:
+        warn(fault)
+    if verified.faults:
+        click.get_current_context().exit(BAD_INPUT)
+    summed = sum(frame.sha256 is not None for frame in verified.frames)
+    click.echo(f"{session}: complete, {len(verified.frames)} frames, {summed} of them with a checksum that holds")
 
 
 @cli.command()
@@ -148,33 +101,42 @@ def measure(session: Path, hdr_only: bool, radial: bool) -> None:
     from bssrdf.report.progress import steps
     from bssrdf.session.session_toml import read_session
 
-    with steps(quiet=_quiet()) as progress:
+    with steps(quiet=is_quiet()) as progress:
         measured = measure_session(read_session(session), hdr_only=hdr_only, radial=radial, progress=progress)
     click.echo(measured_text(measured))
 
 
-def _by_channel(_: click.Context, option: click.Parameter, given: tuple[str, ...]) -> dict[str, float]:
-    """`CHANNEL=number` options as a table by channel."""
+def _by_channel(_: click.Context, option: click.Parameter, given: tuple[str, ...]) -> float | dict[str, float] | None:
+    """`CHANNEL=number` options as a table by channel, or one bare number for all channels."""
     try:
-        return {channel: float(value) for channel, value in (text.rsplit("=", 1) for text in given)}
+        if len(given) == 1 and "=" not in given[0]:
+            return float(given[0])
+        return {channel: float(value) for channel, value in (text.rsplit("=", 1) for text in given)} or None
     except ValueError:
-        raise click.BadParameter(f"{' '.join(given)}: write CHANNEL=number, such as G=0.79", param=option) from None
+        message = f"{' '.join(given)}: write one number, or CHANNEL=number for each channel, such as G=0.79"
+        raise click.BadParameter(message, param=option) from None
+
+
+def _channel_option(name: str, text: str) -> Callable[[Decorated], Decorated]:
+    return click.option(name, multiple=True, callback=_by_channel, metavar="[CHANNEL=]NUMBER", help=text)
 
 
 SLICE_KEYS = (
     click.option("--eta", type=float, help="Relative index of refraction."),
     click.option("--g", type=float, help="Mean cosine of the phase function."),
-    click.option("--flux", type=click.Choice(["incident", "entering"])),
-    click.option("--exit", type=click.Choice(["hemisphere", "lambertian", "fresnel"])),
-    click.option("--view-angle-deg", type=float),
-    click.option("--incidence-deg", type=float),
-    click.option("--total-r", multiple=True, callback=_by_channel, metavar="CHANNEL=R", help="Total reflectance."),
-    click.option("--total-r-sd", multiple=True, callback=_by_channel, metavar="CHANNEL=SD"),
+    click.option("--flux", type=click.Choice(["incident", "entering"]), help="What R_d is per unit of."),
+    click.option("--exit", type=click.Choice(["hemisphere", "lambertian", "fresnel"]), help="What the camera saw."),
+    click.option("--view-angle-deg", type=float, help="Camera against the surface normal."),
+    click.option("--incidence-deg", type=float, help="Beam against the surface normal."),
+    _channel_option("--total-r", "Total reflectance, in the convention of the curve."),
+    _channel_option("--total-r-sd", "Its standard deviation."),
+    _channel_option("--lost-fraction", "Share of the light beyond the frame."),
     click.option("--spot-radius-mm", type=float, help="1/e² radius of the spot."),
     click.option("--scale-rel-sd", type=float, help="Relative error common to curve and total."),
     click.option("--mm-rel-sd", type=float, help="Relative error of the length scale."),
     click.option("--material", help="Name of the material."),
 )
+"""Keys of slice.csv, which win over the file's."""
 
 
 def _slice_keys(command: Decorated) -> Decorated:
@@ -187,7 +149,9 @@ def _slice_keys(command: Decorated) -> Decorated:
 @click.argument("inputs", nargs=-1, required=True, type=FOLDER, metavar="SESSION_OR_SLICE...")
 @click.option("--model", type=click.Choice(["auto", "dipole", "mc"]), default="auto", show_default=True)
 @click.option(
-    "--constraint", type=click.Choice(["exact", "soft", "none"]), help="Default: soft where total_r_sd is given."
+    "--constraint",
+    type=click.Choice(["exact", "soft", "none"]),
+    help="Default: soft where total_r_sd is given, exact where total_r alone is, else none.",
 )
 @click.option("--scale", type=click.Choice(["given", "free"]), default="given", show_default=True)
 @click.option(
@@ -211,38 +175,43 @@ def fit(
     **keys: Any,
 ) -> None:
     """Fit σa and σs′ to each slice; a session's fit is written to its fit.json."""
+    if out is not None and len(inputs) > 1:
+        raise UsageError(f"--out takes one input, not {len(inputs)}; fit them one by one, or use --json")
+    if window_mm is not None and not 0 <= window_mm[0] < window_mm[1]:
+        raise UsageError(f"--window-mm {window_mm[0]:g} {window_mm[1]:g} must be two radii, the smaller one first")
+    target = out and _fresh(out, force)
+
+    keep_compiled()
     from bssrdf.fit.run import FitOptions
     from bssrdf.report.fit_text import fit_text
     from bssrdf.session.fit_json import failure_line, fit_line
     from bssrdf.workflow import fit_files
 
-    if out is not None and len(inputs) > 1:
-        raise UsageError(f"--out takes one input, not {len(inputs)}; fit them one by one, or use --json")
     options = FitOptions(model=model, constraint=constraint, scale=scale, window_mm=window_mm)
-    keys = {name: value for name, value in keys.items() if value not in (None, {})}
+    given = {name: value for name, value in keys.items() if value is not None}
     code = 0
-    for path, outcome in zip(inputs, fit_files(inputs, options, keys, out=out and _fresh(out, force)), strict=True):
+    for path, outcome in zip(inputs, fit_files(inputs, options, given, out=target), strict=True):
         if isinstance(outcome, BssrdfError):
             code = outcome.exit_code
-            click.echo(failure_line(path, outcome) if as_json else f"bssrdf: {outcome}", err=not as_json)
+            click.echo(failure_line(path, outcome)) if as_json else warn(str(outcome))
             continue
         click.echo(fit_line(outcome) if as_json else fit_text(outcome))
         if strict and any(channel.status == "unidentifiable" for channel in outcome.channels.values()):
-            code = code or 5
+            code = code or FLAGGED
     click.get_current_context().exit(code)
 
 
 @cli.command()
 @click.argument("inputs", nargs=-1, type=FOLDER, metavar="[FIT_OR_SESSION]...")
 @click.option("--format", "form", type=click.Choice(["md", "csv", "json", "latex"]), default="md", show_default=True)
-def table(inputs: tuple[Path, ...], form: str) -> None:
+def table(inputs: tuple[Path, ...], form: Any) -> None:
     """Print the material table of the fits; with none, the published one checked against its own reflectances."""
     from bssrdf.report.table import fits_table, published_table
     from bssrdf.workflow import read_fits, stale
 
     fits = read_fits(inputs)
-    for warning in filter(None, map(stale, fits)):
-        click.echo(f"bssrdf: {warning}", err=True)
+    for message in filter(None, map(stale, inputs, fits)):
+        warn(message)
     click.echo(fits_table(fits, form) if fits else published_table(form))
 
 
@@ -254,8 +223,9 @@ def demo(out: Path, force: bool) -> None:
     from bssrdf.bench.demo import run_demo
     from bssrdf.report.progress import stages
 
-    with stages("demo", quiet=_quiet()) as progress:
-        text = run_demo(_fresh(out, force), progress=progress)
+    folder = _fresh(out, force)
+    with stages("demo", quiet=is_quiet()) as progress:
+        text = run_demo(folder, progress=progress)
     click.echo(text)
 
 

@@ -5,15 +5,17 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import bssrdf
 from bssrdf.errors import BssrdfError, InputError
 from bssrdf.fit.run import FitOptions, fit_slices
 from bssrdf.session.atomic import sha256_of
 from bssrdf.session.fit_json import read_fit, write_fit
-from bssrdf.session.records import Fit, Slice
+from bssrdf.session.records import ChannelFit, Fit, Slice
 from bssrdf.session.slice_csv import read_slice
+
+T = TypeVar("T")
 
 
 def slice_file(path: Path) -> Path:
@@ -29,29 +31,13 @@ def fit_files(
     `keys` are header keys of slice.csv that win over the file's. An input that fails gives its error in its place, and
     the others are fitted all the same.
     """
-    read = [_caught(lambda path=path: _read(path, keys)) for path in inputs]
-    slices = [piece for piece in read if isinstance(piece, Slice)]
-    fitted = iter(fit_slices(slices, options))
-    outcomes: list[Fit | BssrdfError] = []
-    for path, piece in zip(inputs, read, strict=True):
-        if isinstance(piece, BssrdfError):
-            outcomes.append(piece)
-            continue
-        fit = Fit(
-            version=bssrdf.__version__,
-            input_path=str(slice_file(path)),
-            input_sha256=sha256_of(slice_file(path)),
-            options={name: value for name, value in asdict(options).items() if value is not None} | dict(keys),
-            material=piece.material,
-            eta=piece.eta,
-            g=piece.g,
-            channels=next(fitted),
-        )
-        target = out or (path / "fit.json" if path.is_dir() else None)
-        if target is not None:
-            write_fit(target, fit)
-        outcomes.append(fit)
-    return outcomes
+    read = [_caught(_read, path, keys) for path in inputs]
+    good = [(path, piece) for path, piece in zip(inputs, read, strict=True) if isinstance(piece, Slice)]
+    fitted = dict(zip((path for path, _ in good), _fit_all(good, options), strict=True))
+    return [
+        piece if isinstance(piece, BssrdfError) else _caught(_finish, path, piece, fitted[path], options, keys, out)
+        for path, piece in zip(inputs, read, strict=True)
+    ]
 
 
 def read_fits(paths: Sequence[Path]) -> list[Fit]:
@@ -59,9 +45,9 @@ def read_fits(paths: Sequence[Path]) -> list[Fit]:
     return [read_fit(path / "fit.json" if path.is_dir() else path) for path in paths]
 
 
-def stale(fit: Fit) -> str | None:
-    """A warning where the fit's input is gone or has changed since."""
-    source = Path(fit.input_path)
+def stale(path: Path, fit: Fit) -> str | None:
+    """A warning where the input of the fit that `path` stands for has changed since."""
+    source = slice_file(path) if path.is_dir() else Path(fit.input_path)
     if source.exists() and sha256_of(source) != fit.input_sha256:
         return f"{source}: has changed since it was fitted; run the fit again"
     return None
@@ -74,8 +60,52 @@ def _read(path: Path, keys: Mapping[str, Any]) -> Slice:
     return read_slice(source, **keys)
 
 
-def _caught(call: Callable[[], Slice]) -> Slice | BssrdfError:
+def _fit_all(
+    pieces: Sequence[tuple[Path, Slice]], options: FitOptions
+) -> Sequence[dict[str, ChannelFit] | BssrdfError]:
+    """All in one batch; where that is refused, one by one, to find whose fault it is."""
     try:
-        return call()
+        return fit_slices([piece for _, piece in pieces], options)
+    except BssrdfError:
+        return [_caught(_fit_one, path, piece, options) for path, piece in pieces]
+
+
+def _fit_one(path: Path, piece: Slice, options: FitOptions) -> dict[str, ChannelFit]:
+    try:
+        return fit_slices([piece], options)[0]
+    except InputError as error:
+        raise InputError(f"{slice_file(path)}: {error}") from error
+
+
+def _finish(
+    path: Path,
+    piece: Slice,
+    channels: dict[str, ChannelFit] | BssrdfError,
+    options: FitOptions,
+    keys: Mapping[str, Any],
+    out: Path | None,
+) -> Fit:
+    """The fit with where it came from, written to where it belongs."""
+    if isinstance(channels, BssrdfError):
+        raise channels
+    fit = Fit(
+        version=bssrdf.__version__,
+        input_path=str(slice_file(path)),
+        input_sha256=sha256_of(slice_file(path)),
+        options={name: value for name, value in asdict(options).items() if value is not None} | dict(keys),
+        material=piece.material,
+        eta=piece.eta,
+        g=piece.g,
+        channels=channels,
+    )
+    target = out or (path / "fit.json" if path.is_dir() else None)
+    if target is not None:
+        write_fit(target, fit)
+    return fit
+
+
+def _caught(call: Callable[..., T], *arguments: Any) -> T | BssrdfError:
+    try:
+        return call(*arguments)
     except BssrdfError as error:
         return error

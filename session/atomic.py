@@ -55,6 +55,14 @@ def replace_folder(target: Path) -> Iterator[Path]:
             shutil.rmtree(old, ignore_errors=True)
 
 
+def make_folder(path: Path) -> None:
+    """The folder and those above it; InputError where it cannot be made."""
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be made ({error.strerror or error}); choose another place") from error
+
+
 def sync(path: Path) -> None:
     """Have the file or folder on disk before going on."""
     if path.is_dir() and os.name == "nt":

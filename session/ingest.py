@@ -3,22 +3,32 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from fnmatch import fnmatch
 from pathlib import Path, PurePosixPath
-from typing import get_args
-
-import numpy as np
+from types import MappingProxyType
+from typing import Any, NamedTuple, get_args
 
 from bssrdf.errors import InputError, UsageError
-from bssrdf.session.atomic import replace_folder, sha256_of
+from bssrdf.session.atomic import make_folder, replace_folder, sha256_of
 from bssrdf.session.file_names import exposure_from_name
 from bssrdf.session.frame_files import IMAGE_SUFFIXES, RAW_SUFFIXES, RawFrame, read_frame_file
 from bssrdf.session.frames_csv import write_frames
-from bssrdf.session.records import Camera, Frame, FrameKind, Session
-from bssrdf.session.session_toml import write_session
+from bssrdf.session.records import Frame, FrameKind
+from bssrdf.session.session_toml import camera_of_keys, write_started
 
 KINDS: tuple[FrameKind, ...] = get_args(FrameKind)
+
+
+class Rule(NamedTuple):
+    """`--kind GLOB=kind`."""
+
+    glob: str
+    kind: FrameKind
+
+    def matches(self, relative: PurePosixPath) -> bool:
+        """Whether the glob fits the path in the folder, or the name alone."""
+        return fnmatch(str(relative), self.glob) or fnmatch(relative.name, self.glob)
 
 
 def ingest_folder(
@@ -27,88 +37,91 @@ def ingest_folder(
     *,
     kinds: Sequence[str] = (),
     select: str | None = None,
-    camera: Camera = Camera(),  # noqa: B008
+    camera: Mapping[str, Any] = MappingProxyType({}),
 ) -> list[Frame]:
-    """Copy the frames below `folder` into a new session `out`.
+    """Copy the frames below `folder` into a new session `out`; a session that was there is replaced.
 
     `kinds` are `GLOB=kind` rules on path or name, of which the last match wins; with `select`, light frames count only
-    where their path contains it. Returns the frames listed. Raises UsageError for a malformed rule, InputError for a
-    file whose kind or exposure is unclear or that cannot be read.
+    where their path contains it; `camera` is keys of [camera]. Returns the frames listed. UsageError for a rule that is
+    malformed or matches nothing, InputError for a file whose kind or exposure is unclear or that cannot be read.
     """
     rules = [_rule(text) for text in kinds]
-    chosen = _chosen(folder, rules, select)
-    out.parent.mkdir(parents=True, exist_ok=True)
+    known_camera = camera_of_keys(out / "session.toml", camera)
+    chosen = _chosen(folder, out, rules, select)
+    make_folder(out.parent)
     with replace_folder(out) as building:
-        frames, first = _copy(folder, chosen, building)
+        frames = [_copy(folder, relative, kind, building) for relative, kind in chosen.items()]
         write_frames(building, frames)
-        write_session(building, Session(path=building, camera=_camera(camera, first)))
+        write_started(building, known_camera)
     return frames
 
 
-def _rule(text: str) -> tuple[str, FrameKind]:
+def _rule(text: str) -> Rule:
     glob, equals, kind = text.rpartition("=")
     if not (equals and glob):
         raise UsageError(f"--kind {text!r} is not of the form GLOB=kind, such as 'darks/*=dark'")
     for known in KINDS:
         if kind == known:
-            return glob, known
+            return Rule(glob, known)
     raise UsageError(f"--kind {text!r}: there is no kind {kind!r}; kinds are {', '.join(KINDS)}")
 
 
-def _chosen(folder: Path, rules: Sequence[tuple[str, FrameKind]], select: str | None) -> dict[PurePosixPath, FrameKind]:
-    if not folder.is_dir():
-        raise InputError(f"{folder}: is no folder; give the one that holds the frames")
-    found = sorted(path for path in folder.rglob("*") if path.suffix.lower() in (*RAW_SUFFIXES, *IMAGE_SUFFIXES))
-    if not found:
-        raise InputError(f"{folder}: holds no RAW, TIFF or EXR file")
+def _chosen(folder: Path, out: Path, rules: Sequence[Rule], select: str | None) -> dict[PurePosixPath, FrameKind]:
+    found = _image_files(folder, out)
+    for rule in rules:
+        if not any(rule.matches(relative) for relative in found):
+            raise UsageError(f"--kind '{rule.glob}={rule.kind}' matches none of the {len(found)} images in {folder}")
     chosen = {}
-    for path in found:
-        relative = PurePosixPath(path.relative_to(folder).as_posix())
+    for relative in found:
         kind = _kind(relative, rules)
         if select is not None and select not in str(relative) and not (kind and kind.endswith("dark")):
             continue
         if kind is None:
+            example = f"'{relative.parent}/*=sample'"
             raise InputError(
-                f"{path}: its kind is unclear; name it with --kind 'GLOB=kind', such as --kind '{relative.parent}/*=sample'"
+                f"{folder / relative}: its kind is unclear; name it by --kind GLOB=kind, such as {example}"
             )
         chosen[relative] = kind
     if all(kind.endswith("dark") for kind in chosen.values()):
-        raise InputError(
-            f"{folder}: no light frame {f'has {select!r} in its path' if select else 'is there'}; look at --select and --kind"
-        )
+        missing = f"has {select!r} in its path" if select else "is there"
+        raise InputError(f"{folder}: no light frame {missing}; look at --select and --kind")
     return chosen
 
 
-def _kind(relative: PurePosixPath, rules: Sequence[tuple[str, FrameKind]]) -> FrameKind | None:
-    """By the last rule that matches, else by a kind's own name in the path; frames beside ruled darks are the sample."""
-    for glob, kind in reversed(rules):
-        if fnmatch(str(relative), glob) or fnmatch(relative.name, glob):
-            return kind
+def _image_files(folder: Path, out: Path) -> list[PurePosixPath]:
+    """The images below `folder`, those of a session that stands in it left out."""
+    if not folder.is_dir():
+        raise InputError(f"{folder}: is no folder; give the one that holds the frames")
+    if folder.resolve().is_relative_to(out.resolve()):
+        raise UsageError(f"--out {out} would replace {folder}, which is to be read; choose another")
+    images = (path for path in folder.rglob("*") if path.suffix.lower() in (*RAW_SUFFIXES, *IMAGE_SUFFIXES))
+    found = sorted(path for path in images if not path.resolve().is_relative_to(out.resolve()))
+    if not found:
+        raise InputError(f"{folder}: holds no RAW, TIFF or EXR file; give the folder that holds the frames")
+    return [PurePosixPath(path.relative_to(folder).as_posix()) for path in found]
+
+
+def _kind(relative: PurePosixPath, rules: Sequence[Rule]) -> FrameKind | None:
+    """By the last rule that matches, else by a kind's own name in the path; what lies beside ruled darks is sample."""
+    for rule in reversed(rules):
+        if rule.matches(relative):
+            return rule.kind
     words = str(relative).lower().replace("-", "_").replace("/", "_").replace(".", "_")
     named = [kind for kind in KINDS if f"_{kind}_" in f"_{words}_"]
     if named:
         return max(named, key=len)
-    only_darks = bool(rules) and all(kind.endswith("dark") for _, kind in rules)
+    only_darks = bool(rules) and all(rule.kind.endswith("dark") for rule in rules)
     return "sample" if only_darks else None
 
 
-def _copy(folder: Path, chosen: dict[PurePosixPath, FrameKind], building: Path) -> tuple[list[Frame], RawFrame]:
-    frames, images = [], []
-    for relative, kind in chosen.items():
-        image = read_frame_file(folder / relative)
-        target = building / "frames" / relative
-        target.parent.mkdir(parents=True, exist_ok=True)
-        shutil.copy2(folder / relative, target)
-        frames.append(
-            Frame(
-                file=str("frames" / relative),
-                kind=kind,
-                exposure_s=_exposure(folder / relative, image),
-                sha256=sha256_of(target),
-            )
-        )
-        images = images or [image]
-    return frames, images[0]
+def _copy(folder: Path, relative: PurePosixPath, kind: FrameKind, building: Path) -> Frame:
+    source, target = folder / relative, building / "frames" / relative
+    image = read_frame_file(source)
+    target.parent.mkdir(parents=True, exist_ok=True)
+    shutil.copy2(source, target)
+    return Frame(
+        file=str("frames" / relative), kind=kind, exposure_s=_exposure(source, image), sha256=sha256_of(target)
+    )
 
 
 def _exposure(path: Path, image: RawFrame) -> float:
@@ -116,14 +129,3 @@ def _exposure(path: Path, image: RawFrame) -> float:
     if exposure_s is None:
         raise InputError(f"{path}: has no exposure in its metadata nor in its name; name it like frame_250ms_1.tif")
     return exposure_s
-
-
-def _camera(given: Camera, first: RawFrame) -> Camera:
-    """What the caller gave; a RAW file tells the rest itself, and an integer TIFF spans its whole type."""
-    if first.black is not None or not np.issubdtype(first.data.dtype, np.integer):
-        return given
-    return Camera(
-        layout=given.layout or first.layout,
-        black=given.black if given.black is not None else 0.0,
-        white=given.white if given.white is not None else float(np.iinfo(first.data.dtype).max),
-    )

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from bssrdf.errors import InputError, UsageError
-from bssrdf.session.atomic import atomic_write, inside
+from bssrdf.session.atomic import atomic_write, inside, make_folder
 from bssrdf.session.checks import (
     Check,
     boolean,
@@ -140,15 +140,31 @@ def write_template(path: Path, *, force: bool = False) -> None:
     file = path / "session.toml"
     if file.exists() and not force:
         raise UsageError(f"{file}: exists already; choose another folder, or --force to start it anew")
-    try:
-        (path / "frames").mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be made a session ({error.strerror}); choose another place") from error
-    template = files("bssrdf.session").joinpath("template.toml").read_text(encoding="utf-8")
+    make_folder(path / "frames")
     with atomic_write(file) as part:
-        part.write_text(template, encoding="utf-8")
+        part.write_text(_template(), encoding="utf-8")
     if not (path / "frames.csv").exists():
         write_frames(path, [])
+
+
+def write_started(path: Path, camera: Camera) -> None:
+    """A session.toml with [camera], and every other table of the template commented out, to be filled in."""
+    head, *tables = re.split(r"^(?=\[)", _template(), flags=re.MULTILINE)
+    commented = "".join(re.sub(r"^(?=[^#\n])", "# ", table, flags=re.MULTILINE) for table in tables)
+    document = head + commented.replace("# [camera]\n", f"[camera]\n{toml_table(asdict(camera))}")
+    with atomic_write(path / "session.toml") as part:
+        part.write_text(document, encoding="utf-8")
+
+
+def camera_of_keys(file: Path, keys: Mapping[str, Any]) -> Camera:
+    """[camera] of keys that are not None; InputError naming `file`, for which they are meant."""
+    given = {key: value for key, value in keys.items() if value is not None}
+    camera: Camera = _record(file, "camera", checked(file, "[camera] ", given, TABLES["camera"][1]))
+    return camera
+
+
+def _template() -> str:
+    return files("bssrdf.session").joinpath("template.toml").read_text(encoding="utf-8")
 
 
 def _read_tables(file: Path, top_checks: dict[str, Check]) -> tuple[dict[str, Any], Tables]:

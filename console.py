@@ -1,0 +1,106 @@
+"""How the command line behaves whatever the command: common options, one line for an error, the exit code.
+
+0 done · 1 a bug of ours · 2 wrong usage · 3 bad input · 4 a device failed · 5 flagged, with --strict · 130 interrupted
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+import traceback
+from typing import Any
+
+import click
+
+from bssrdf.errors import BssrdfError
+
+INTERRUPTED = 130
+BUG = 1
+WRONG_USAGE = 2
+BAD_INPUT = 3
+
+
+def _remember(context: click.Context, option: click.Parameter, given: bool) -> None:
+    settings = context.find_root().ensure_object(dict)
+    settings[option.name] = settings.get(option.name, False) or given
+
+
+def _common_options() -> list[click.Parameter]:
+    return [
+        click.Option([name], is_flag=True, expose_value=False, callback=_remember, help=text)
+        for name, text in (("--quiet", "No progress."), ("--debug", "Show tracebacks."))
+    ]
+
+
+class Command(click.Command):
+    """A command with the options that every command has."""
+
+    def __init__(self, *args: Any, **kwargs: Any) -> None:
+        super().__init__(*args, **kwargs)
+        self.params += _common_options()
+
+
+class Group(click.Group):
+    """A group whose commands are `Command`s; it takes the common options too."""
+
+    command_class = Command
+    group_class = type
+
+    def __init__(self, *args: Any, **kwargs: Any) -> None:
+        super().__init__(*args, **kwargs)
+        self.params += _common_options()
+
+    def invoke(self, ctx: click.Context) -> Any:
+        """Run the command; a reader that has had enough, such as `head`, is no failure."""
+        try:
+            return super().invoke(ctx)
+        except BrokenPipeError:
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+            return 0
+
+
+def is_quiet() -> bool:
+    """Whether --quiet was given, before or after the command."""
+    return bool(click.get_current_context().find_root().ensure_object(dict).get("quiet"))
+
+
+def keep_compiled() -> None:
+    """Have JAX, not yet imported, keep what it compiles in the user's cache folder: the next process starts faster."""
+    from platformdirs import user_cache_path
+
+    os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(user_cache_path("bssrdf") / "jax"))
+    os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
+
+
+def warn(message: str) -> None:
+    """One line on stderr."""
+    click.echo(f"bssrdf: {message}", err=True)
+
+
+def run(group: click.Group, arguments: list[str]) -> int:
+    """Run the command that the arguments name; its exit code."""
+    try:
+        code = group.main(arguments, prog_name="bssrdf", standalone_mode=False)
+    except click.exceptions.Exit as stop:
+        return stop.exit_code
+    except click.ClickException as error:
+        error.show()
+        return WRONG_USAGE
+    except (click.Abort, KeyboardInterrupt):
+        warn("interrupted")
+        return INTERRUPTED
+    except BssrdfError as error:
+        return _failed(arguments, error, str(error), error.exit_code)
+    except OSError as error:
+        place = f"{error.filename}: " if error.filename else ""
+        return _failed(arguments, error, f"{place}{error.strerror or error}; check path and permissions", BAD_INPUT)
+    except Exception as error:
+        return _failed(arguments, error, f"a bug of ours: {error!r} (--debug shows where)", BUG)
+    return code if isinstance(code, int) else 0
+
+
+def _failed(arguments: list[str], error: Exception, line: str, code: int) -> int:
+    if "--debug" in arguments:
+        traceback.print_exception(error)
+    warn(line)
+    return code

@@ -1,0 +1,58 @@
+"""Is a session complete and unchanged: everything that measuring it would stumble over, found at once."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+from bssrdf.errors import BssrdfError
+from bssrdf.session.atomic import sha256_of
+from bssrdf.session.frames_csv import dark_for, read_frames
+from bssrdf.session.records import Frame
+from bssrdf.session.session_toml import read_session
+
+
+class Verified(NamedTuple):
+    """What was looked at, and one line for each fault."""
+
+    frames: list[Frame]
+    faults: list[str]
+
+
+def verify_session(path: Path) -> Verified:
+    """Look at the tables of session.toml, and at each frame of frames.csv: there, unchanged, with a dark.
+
+    Frames are read from disk and compared with the checksum in frames.csv where it has one. Raises InputError where
+    frames.csv itself cannot be read.
+    """
+    frames = read_frames(path, must_exist=False)
+    return Verified(frames, [*_table_faults(path, frames), *_frame_faults(path, frames)])
+
+
+def _table_faults(path: Path, frames: Sequence[Frame]) -> Iterator[str]:
+    try:
+        session = read_session(path)
+    except BssrdfError as error:
+        yield str(error)
+        return
+    for name in ("material", "geometry", "reference"):
+        if getattr(session, name) is None:
+            yield f"{path / 'session.toml'}: has no [{name}]; add it (without it only `measure --hdr-only` works)"
+    for kind in ("sample", "reference"):
+        if not any(frame.kind in (kind, f"{kind}_hdr") for frame in frames):
+            yield f"{path / 'frames.csv'}: lists no {kind}; add it (without it only `measure --hdr-only` works)"
+
+
+def _frame_faults(path: Path, frames: Sequence[Frame]) -> Iterator[str]:
+    for frame in frames:
+        file = path / frame.file
+        if not file.is_file():
+            yield f"{file}: is not there; put it back or take its line out of frames.csv"
+        elif frame.sha256 and sha256_of(file) != frame.sha256:
+            yield f"{file}: has changed since it was listed (its sha256 differs); restore it or take it again"
+        if frame.kind in ("sample", "reference", "flat"):
+            try:
+                dark_for(frame, frames)
+            except BssrdfError as error:
+                yield f"{path / 'frames.csv'}: {error}"
