@@ -85,8 +85,8 @@ class Camera(Protocol):
         """What must not change in a session: lens, ISO, file format."""
         ...
 
-    def take(self, exposure_s: float, part: Path, keep_alive: Callable[[], None]) -> str:
-        """Expose for `exposure_s` into the file `part`, and return the suffix of its format, such as ".dng".
+    def take(self, exposure_s: float, part: Path, keep_alive: Callable[[], None]) -> Path:
+        """Expose for `exposure_s`; the file returned is `part` with the suffix of its format added, such as ".dng".
 
         `keep_alive` is called a few times a second while the camera is waited for.
         """

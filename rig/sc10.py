@@ -104,6 +104,7 @@ class Sc10Shutter:
         """Send one command and return its reply, without echo and prompt."""
         sent = command.encode() + b"\r"
         line = self._wire()
+        line.forget()
         line.send(sent)
         reply = line.receive(_PROMPT, after=sent)
         if not reply.startswith(sent):

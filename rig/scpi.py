@@ -72,7 +72,6 @@ class ScpiController:
         deadline = time.monotonic() + self._boot_s
         while True:
             try:
-                self._wire().forget()
                 return self._ask("*IDN?", lambda reply: reply.count(",") == 3)
             except BadReply:
                 if time.monotonic() > deadline:
@@ -80,6 +79,7 @@ class ScpiController:
 
     def _ask(self, command: str, known: Callable[[str], bool]) -> str:
         sent = command.encode() + b"\n"
+        self._wire().forget()
         self._wire().send(sent)
         reply = self._wire().receive(b"\n", after=sent).rstrip(b"\r").decode("ascii", "replace")
         if not known(reply):

@@ -1,0 +1,115 @@
+"""Is a frame what it should be: readable, of its exposure, lit or dark, and in step with the frames before."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import median_filter
+
+from bssrdf.errors import InputError
+from bssrdf.rig.steps import Step
+from bssrdf.session.frame_files import RawFrame, read_frame_file
+
+Array = NDArray[np.float64]
+
+LABEL_TOLERANCE = 0.07
+"""Exposure labels are rounded by up to 6.7 %."""
+_IN_STEP = 0.15
+"""Light may differ from the previous frame's, scaled by the exposure, by this: twice a rounded label."""
+_SIGMAS = 8.0
+_SATURATED = 0.98
+"""Share of the white level from which a pixel no longer counts."""
+_ALL = 0.9
+
+
+class Seen(NamedTuple):
+    """What is kept of a frame to compare the next ones with."""
+
+    exposure_s: float
+    light: Array
+    """Light above the black level [DN], in cells of the mosaic's period, (h/2, w/2)."""
+    clipped: NDArray[np.bool_]
+    noise: float
+    """Standard deviation of a cell without light [DN]."""
+    peak: float
+    """Brightest pixel over the white level."""
+
+    @property
+    def spot(self) -> float:
+        """The brightest place [DN], hot pixels left out."""
+        smooth = median_filter(self.light, 3, mode="nearest")
+        return float(smooth.max() - np.median(self.light))
+
+    @property
+    def is_lit(self) -> bool:
+        return self.spot > _SIGMAS * self.noise
+
+
+def look(file: Path, white: float | None = None) -> tuple[RawFrame, Seen]:
+    """Read a frame and boil it down; InputError where it cannot be read."""
+    frame = read_frame_file(file)
+    data = frame.data.astype(float)
+    if data.ndim == 3:
+        data = data.mean(2)
+    level = frame.white or white or (np.iinfo(frame.data.dtype).max if frame.data.dtype.kind == "u" else 1.0)
+    height, width = (size // 2 * 2 for size in data.shape)
+    cells = data[:height, :width].reshape(height // 2, 2, width // 2, 2)
+    black = np.mean(frame.black) if frame.black is not None else float(np.median(data))
+    light = cells.mean((1, 3)) - black
+    differences = np.diff(light, axis=1)
+    noise = max(1.4826 * float(np.median(abs(differences - np.median(differences)))) / np.sqrt(2), 0.3)
+    clipped = np.asarray((cells >= _SATURATED * level).any((1, 3)))
+    return frame, Seen(frame.exposure_s or 0.0, light, clipped, noise, float(data.max() / level))
+
+
+def fault_of(step: Step, frame: RawFrame, seen: Seen, before: Seen | None) -> str:
+    """What is wrong with a frame, in a few words; empty where nothing is. `before`: a longer frame of the subject."""
+    said = frame.exposure_s
+    if said is not None and abs(said / step.exposure_s - 1) > LABEL_TOLERANCE:
+        return f"its file says {said:g} s, not {step.exposure_s:g} s"
+    if not step.lit:
+        return "it is not dark: the beam gets through" if seen.is_lit else ""
+    if seen.clipped.mean() > _ALL:
+        return "it is all saturated"
+    if before is None:
+        return "" if seen.is_lit else "it is all dark: shutter, beam or lens cap"
+    return _out_of_step(step, seen, before)
+
+
+def _out_of_step(step: Step, seen: Seen, before: Seen) -> str:
+    """Compare with a frame of the same subject where neither is saturated."""
+    ratio = step.exposure_s / before.exposure_s if before.exposure_s else 1.0
+    if seen.light.shape != before.light.shape:
+        return f"it has {seen.light.shape} cells, the frame before {before.light.shape}"
+    bright = ~seen.clipped & ~before.clipped & (before.light * ratio > _SIGMAS * max(seen.noise, before.noise * ratio))
+    if not bright.any():
+        return "" if seen.is_lit or not before.is_lit else _too_dark(seen, before, ratio)
+    expected, got = ratio * before.light[bright].sum(), seen.light[bright].sum()
+    error = _SIGMAS * seen.noise * np.sqrt(bright.sum()) + 8 * np.sqrt(abs(expected))
+    if abs(got - expected) > _IN_STEP * expected + error:
+        return f"its light is {got / expected:.2f} of what the frame of {before.exposure_s:g} s lets expect"
+    return ""
+
+
+def _too_dark(seen: Seen, before: Seen, ratio: float) -> str:
+    """Nothing shows: fair enough, unless the last frame was so bright that something had to."""
+    return "it is all dark: shutter or beam" if before.spot * ratio > 2 * _SIGMAS * seen.noise else ""
+
+
+def drift(first: Seen, again: Seen) -> float:
+    """Relative change of the light between two frames of one exposure."""
+    bright = ~first.clipped & ~again.clipped & (first.light > _SIGMAS * first.noise)
+    total = first.light[bright].sum()
+    return float(again.light[bright].sum() / total - 1) if total > 0 else 0.0
+
+
+def check(file: Path, step: Step, before: Seen | None, white: float | None) -> tuple[Seen | None, str]:
+    """What the frame shows, and what is wrong with it."""
+    try:
+        frame, seen = look(file, white)
+    except InputError as error:
+        return None, f"it cannot be read ({error})"
+    return seen._replace(exposure_s=step.exposure_s), fault_of(step, frame, seen, before)

@@ -1,0 +1,53 @@
+"""One program at a time on a port and in a session: locks of the system, which go with the process, even by SIGKILL."""
+
+from __future__ import annotations
+
+import fcntl
+import hashlib
+import os
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+
+import platformdirs
+
+from bssrdf.errors import DeviceError, UsageError
+
+
+@contextmanager
+def lock_ports(ports: set[str]) -> Iterator[None]:
+    """Hold every port, or DeviceError that names the one in use and by what process."""
+    folder = platformdirs.user_runtime_path("bssrdf", ensure_exists=True)
+    with ExitStack() as held:
+        for port in sorted(ports):
+            name = hashlib.sha256(port.encode()).hexdigest()[:16]
+            holder = held.enter_context(_lock(folder / f"port-{name}.lock"))
+            if holder:
+                raise DeviceError(f"{port}: in use by process {holder}; let it end, or end it")
+        yield
+
+
+@contextmanager
+def lock_session(session: Path) -> Iterator[None]:
+    """Hold the session folder, or UsageError that names the process that does."""
+    with _lock(session / ".lock") as holder:
+        if holder:
+            raise UsageError(f"{session}: process {holder} is capturing into it; let it end")
+        yield
+
+
+@contextmanager
+def _lock(file: Path) -> Iterator[str]:
+    """Hold the lock; yields nothing, or the process that holds it already."""
+    handle = os.open(file, os.O_RDWR | os.O_CREAT, 0o600)
+    try:
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            yield os.read(handle, 20).decode() or "unknown"
+            return
+        os.ftruncate(handle, 0)
+        os.write(handle, str(os.getpid()).encode())
+        yield ""
+    finally:
+        os.close(handle)

@@ -1,0 +1,171 @@
+"""A simulated camera as a process: `python -m bssrdf.rig.sim.camera_process SCENE WORLD SPEED PORT`.
+
+It speaks PTP/IP, so that the real libgphoto2 drives it, and serves DNGs of what the world lets it see. It prints its
+port.
+"""
+
+from __future__ import annotations
+
+import os
+import struct
+import sys
+import threading
+import time
+import zlib
+from pathlib import Path
+
+import numpy as np
+
+from bssrdf.rig.sim import ptpip
+from bssrdf.rig.sim.ptpip import Answer
+from bssrdf.rig.sim.raw_files import dng_bytes
+from bssrdf.rig.sim.scene import BRACKET_S, Scene, read_scene
+from bssrdf.rig.sim.sensor import expose
+from bssrdf.rig.sim.world_server import WorldClient
+
+_DNG, _JPEG = 0x3811, 0x3801
+_STORE = 0x10001
+_EXPOSURE, _ISO, _NOISE_REDUCTION = 0x500D, 0x500F, 0xD06B
+_UNIT_S = 1e-4
+"""PTP gives exposure times in units of 0.1 ms."""
+_UINT8, _UINT16, _UINT32 = 2, 4, 6
+_OPERATIONS = [0x1001, 0x1002, 0x1003, 0x1004, 0x1005, 0x1006, 0x1007, 0x1008, 0x1009, 0x100B]
+_OPERATIONS += [0x100E, 0x1014, 0x1015, 0x1016]
+_LATENCY_S = 0.01
+"""Time from the end of an exposure to its file, for us."""
+
+
+class SimulatedCamera:
+    """State of the camera, and what each PTP operation does to it."""
+
+    def __init__(self, scene: Scene, world: WorldClient, port: int) -> None:
+        self._scene = scene
+        self._world = world
+        self._currents = scene.photo_currents()
+        self._choices = {
+            _EXPOSURE: ("I", _UINT32, [round(seconds / _UNIT_S) for seconds in BRACKET_S]),
+            _ISO: ("H", _UINT16, [100, 200, 400, 800]),
+            _NOISE_REDUCTION: ("B", _UINT8, [0, 1]),
+        }
+        self._values = {_EXPOSURE: 80, _ISO: 100, _NOISE_REDUCTION: 0}
+        self._files: dict[int, tuple[str, bytes]] = {}
+        self._taken = 0
+        self.responder = ptpip.Responder(self.operate, "bssrdf camera", port)
+
+    def operate(self, code: int, parameters: list[int], data: bytes, transaction: int) -> Answer:
+        handlers = {
+            0x1001: lambda: Answer(ptpip.OK, self._device_info()),
+            0x1002: lambda: Answer(ptpip.OK),
+            0x1003: lambda: Answer(ptpip.OK),
+            0x1004: lambda: Answer(ptpip.OK, ptpip.array([_STORE], "I")),
+            0x1005: lambda: Answer(ptpip.OK, _storage_info()),
+            0x1006: lambda: Answer(ptpip.OK, None, [len(self._files)]),
+            0x1007: lambda: Answer(ptpip.OK, ptpip.array(sorted(self._files), "I")),
+            0x1008: lambda: Answer(ptpip.OK, self._object_info(parameters[0])),
+            0x1009: lambda: Answer(ptpip.OK, self._files[parameters[0]][1]),
+            0x100B: lambda: self._delete(parameters[0]),
+            0x100E: lambda: self._capture(transaction),
+            0x1014: lambda: self._describe(parameters[0]),
+            0x1015: lambda: self._value(parameters[0]),
+            0x1016: lambda: self._set(parameters[0], data),
+        }
+        if code not in handlers:
+            return Answer(ptpip.NOT_SUPPORTED)
+        try:
+            return handlers[code]()
+        except KeyError:
+            return Answer(ptpip.GENERAL_ERROR)
+
+    def _device_info(self) -> bytes:
+        return (
+            struct.pack("<HIH", 100, 0, 0)
+            + ptpip.text("")
+            + struct.pack("<H", 0)
+            + ptpip.array(_OPERATIONS)
+            + ptpip.array([ptpip.OBJECT_ADDED, 0x4006, ptpip.CAPTURE_COMPLETE])
+            + ptpip.array(list(self._choices))
+            + ptpip.array([_DNG])
+            + ptpip.array([_JPEG, _DNG])
+            + ptpip.text("bssrdf")
+            + ptpip.text("simulated camera")
+            + ptpip.text("0.1")
+            + ptpip.text("0001")
+        )
+
+    def _object_info(self, handle: int) -> bytes:
+        name, content = self._files[handle]
+        height, width = self._scene.sensor.shape
+        numbers = struct.pack(
+            "<IHHIHIIIIIIIHII", _STORE, _DNG, 0, len(content), 0, 0, 0, 0, width, height, 16, 0, 0, 0, 0
+        )
+        when = ptpip.text(time.strftime("%Y%m%dT%H%M%S"))
+        return numbers + ptpip.text(name) + when + when + ptpip.text("")
+
+    def _delete(self, handle: int) -> Answer:
+        del self._files[handle]
+        return Answer(ptpip.OK)
+
+    def _describe(self, code: int) -> Answer:
+        form, kind, choices = self._choices[code]
+        head = struct.pack(f"<HHB{form}{form}", code, kind, 1, choices[0], self._values[code])
+        return Answer(ptpip.OK, head + struct.pack(f"<BH{len(choices)}{form}", 2, len(choices), *choices))
+
+    def _value(self, code: int) -> Answer:
+        return Answer(ptpip.OK, struct.pack("<" + self._choices[code][0], self._values[code]))
+
+    def _set(self, code: int, data: bytes) -> Answer:
+        value = int.from_bytes(data, "little")
+        if value not in self._choices[code][2]:
+            return Answer(ptpip.INVALID_VALUE)
+        self._values[code] = value
+        return Answer(ptpip.OK)
+
+    def _capture(self, transaction: int) -> Answer:
+        fault = self._world.fault("camera")
+        if fault == "busy":
+            return Answer(ptpip.BUSY)
+        if fault == "store_full":
+            return Answer(ptpip.STORE_FULL)
+        if fault == "crash":
+            os._exit(1)
+        threading.Thread(target=self._expose, args=(transaction, fault), daemon=True).start()
+        return Answer(ptpip.OK)
+
+    def _expose(self, transaction: int, fault: str | None) -> None:
+        units = self._values[_EXPOSURE]
+        if fault == "wrong_exposure":
+            choices = self._choices[_EXPOSURE][2]
+            units = choices[choices.index(units) - 1]
+        exposure_s = units * _UNIT_S
+        start = self._world.now()
+        time.sleep(exposure_s / self._world.speed)
+        lit = self._world.lit_share(start, start + exposure_s)
+        content = self._file(exposure_s, lit)
+        time.sleep(_LATENCY_S)
+        self._taken += 1
+        self._files[self._taken] = (
+            f"SIM_{self._taken:04d}.DNG",
+            content[: len(content) // 3] if fault == "truncated_file" else content,
+        )
+        if fault != "no_event":
+            self.responder.send_event(ptpip.OBJECT_ADDED, transaction, [self._taken])
+            self.responder.send_event(ptpip.CAPTURE_COMPLETE, transaction, [])
+
+    def _file(self, exposure_s: float, lit: float) -> bytes:
+        subject = str(self._world.status()["subject"])
+        seed = [self._scene.seed, zlib.crc32(f"{subject} {exposure_s:.4f} {lit:.3f}".encode())]
+        if self._scene.noise == "fresh":
+            seed.append(self._taken)
+        dn = expose(self._scene.sensor, lit * self._currents[subject], exposure_s, np.random.default_rng(seed))
+        return dng_bytes(dn, self._scene.sensor, exposure_s, self._values[_ISO])
+
+
+def _storage_info() -> bytes:
+    return struct.pack("<HHHQQI", 3, 2, 0, 1 << 34, 1 << 33, 9999) + ptpip.text("card") + ptpip.text("card")
+
+
+if __name__ == "__main__":
+    _, scene_path, world_path, bench_speed, tcp_port = sys.argv
+    camera = SimulatedCamera(read_scene(Path(scene_path)), WorldClient(world_path, float(bench_speed)), int(tcp_port))
+    print(camera.responder.port, flush=True)
+    camera.responder.serve()
