@@ -6,7 +6,7 @@ Lengths in mm, R_d in 1/mm². b is the number of curves, n the padded number of 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Array, Float, Int
@@ -67,25 +67,29 @@ def stack(
     """Pad the named channels of the slices to one length and convert them to entering flux and the hemisphere."""
     width = bucket_of(max(len(piece.channels[name].r_mm) for piece, name in pieces))
     rows = [_row(piece, name, width, scale_free, window_mm) for piece, name in pieces]
-    return Curves(*(np.stack([getattr(row, key) for row in rows]) for key in Curves._fields))
+    columns: dict[str, Any] = {key: np.stack([row[key] for row in rows]) for key in Curves._fields}
+    return Curves(**columns)
 
 
-def _row(piece: Slice, name: str, width: int, scale_free: bool, window_mm: tuple[float, float] | None) -> Curves:
+def _row(
+    piece: Slice, name: str, width: int, scale_free: bool, window_mm: tuple[float, float] | None
+) -> dict[str, Any]:
     channel = piece.channels[name]
     factor = convention_of(piece).factor
     r_lo, r_hi = _edges(channel)
+    order = np.argsort(channel.r_mm, kind="stable")  # the two sides of a slice follow one another
     n = len(channel.r_mm)
     weight = np.where(channel.sd_per_mm2 > 0, factor / np.where(channel.sd_per_mm2 > 0, channel.sd_per_mm2, 1), np.nan)
-    return Curves(
-        r_lo=_pad(r_lo, width, float(r_hi[-1])),
-        r_hi=_pad(r_hi, width, float(r_hi[-1])),
-        rd=_pad(channel.rd_per_mm2 / factor, width, 0.0),
-        weight=_pad(_common_unknown(weight), width, 0.0),
-        total_r=np.asarray(piece.total_r.get(name, np.nan) / factor),
-        total_r_sd=np.asarray(piece.total_r_sd.get(name, np.nan) / factor),
-        window=np.asarray(window_mm if window_mm else (0.0, np.inf)),
-        n=np.asarray(n),
-    )
+    return {
+        "r_lo": _pad(r_lo[order], width, float(r_hi.max())),
+        "r_hi": _pad(r_hi[order], width, float(r_hi.max())),
+        "rd": _pad(channel.rd_per_mm2[order] / factor, width, 0.0),
+        "weight": _pad(_common_unknown(weight)[order], width, 0.0),
+        "total_r": np.asarray(piece.total_r.get(name, np.nan) / factor),
+        "total_r_sd": np.asarray(piece.total_r_sd.get(name, np.nan) / factor),
+        "window": np.asarray(window_mm if window_mm else (0.0, np.inf)),
+        "n": np.asarray(n),
+    }
 
 
 def _common_unknown(weight: np.ndarray) -> np.ndarray:

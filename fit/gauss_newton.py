@@ -30,20 +30,20 @@ class _State(NamedTuple):
     done: Bool[Array, ""]
 
 
-def minimise(residual: Callable[[Vector], Float[Array, " n"]], x: Vector) -> tuple[Vector, Bool[Array, ""]]:
-    """The x nearby that makes Σ residual² least, and whether the search came to rest."""
-    p = x.shape[0]
-    eps = jnp.finfo(x.dtype).eps
+def minimise(
+    linearise: Callable[[Vector], tuple[Float[Array, " n"], Float[Array, "p n"]]], x: Vector
+) -> tuple[Vector, Bool[Array, ""]]:
+    """The x nearby that makes Σ residual² least, and whether the search came to rest.
 
-    def linearise(x: Vector) -> tuple[Float[Array, ""], Vector, Matrix]:
-        push = jax.vmap(lambda direction: jax.jvp(residual, (x,), (direction,)), out_axes=(None, 0))
-        value, slopes = push(jnp.eye(p, dtype=x.dtype))
-        return value @ value, slopes @ value, slopes @ slopes.T
+    `linearise` gives the residual and its derivatives. The last move is made without another look: it is too small.
+    """
+    p = x.shape[0]
+    settled_at = 100 * jnp.sqrt(jnp.finfo(x.dtype).eps)
 
     def step(state: _State) -> _State:
-        cost, gradient, curvature = linearise(state.trial)
+        value, slopes = linearise(state.trial)
+        cost, gradient, curvature = value @ value, slopes @ value, slopes @ slopes.T
         better = cost <= state.cost
-        gained = state.cost - cost
         best, cost, gradient, curvature = jax.tree.map(
             lambda new, old: jnp.where(better, new, old),
             (state.trial, cost, gradient, curvature),
@@ -52,16 +52,15 @@ def minimise(residual: Callable[[Vector], Float[Array, " n"]], x: Vector) -> tup
         damping = jnp.where(better, state.damping * 0.1, jnp.maximum(state.damping, 1e-3) * 10)
         move = -solve_damped(curvature, gradient, damping)
         move = move * jnp.minimum(1, LONGEST_STEP / jnp.maximum(jnp.max(jnp.abs(move)), LONGEST_STEP))
-        settled = (
-            (jnp.max(jnp.abs(move)) < jnp.sqrt(eps) / 10) | (better & (gained < 4 * eps * cost)) | (damping > 1e12)
-        )
+        settled = (better & (jnp.max(jnp.abs(move)) < settled_at)) | (damping > 1e12)
         return _State(best + move, best, cost, gradient, curvature, damping, state.steps + 1, settled)
 
     zeros = jnp.zeros_like(x)
     infinite = jnp.asarray(jnp.inf, x.dtype)
     first = _State(x, x, infinite, zeros, jnp.eye(p, dtype=x.dtype), zeros[0], jnp.asarray(0), jnp.asarray(False))
     last = jax.lax.while_loop(lambda state: ~state.done & (state.steps < MAX_STEPS), step, first)
-    return last.best, last.done & jnp.isfinite(last.cost)
+    x = jnp.where(last.damping < 1, last.trial, last.best)
+    return x, last.done & jnp.isfinite(last.cost)
 
 
 def solve_damped(curvature: Matrix, gradient: Vector, damping: Float[Array, ""]) -> Vector:

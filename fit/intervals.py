@@ -1,7 +1,7 @@
 """95 % intervals by profile likelihood, for where the cost is no parabola: σa near 0.
 
-The profile holds q and lets everything else find its best again; a bound lies where the cost has risen by the quantile of
-χ² with one degree of freedom: 2.71 for a one-sided bound, 3.84 for each end of an interval.
+The profile holds q and lets everything else find its best again. A bound lies where the cost has risen by the quantile
+of χ² with one degree of freedom: 2.71 for a one-sided bound, 3.84 for each end of an interval.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from bssrdf.fit import gauss_newton
 from bssrdf.fit.curves import Curves
@@ -40,41 +40,44 @@ def profile(task: Task, model: ForwardModel, data: Curves, solution: Solution, i
     def held(q: Scalar) -> tuple[Scalar, Float[Array, " 2"]]:
         """Cost and coefficients with this q and everything else at its best."""
 
-        def misfit(free: Float[Array, " p"]) -> Float[Array, " m"]:
+        def linearise(free: Float[Array, " p"]) -> tuple[Float[Array, " m"], Float[Array, "p m"]]:
             scale = free[1] if task.scale_free else solution.point.log_scale
-            return residual(task, model, data, solution.weight, Parameters(free[0], q, scale))
+            there = residual(task, model, data, solution.weight, Parameters(free[0], q, scale))
+            others = [row for row in range(there.by_free.shape[0]) if row != 1]
+            return there.value, there.by_free[jnp.asarray(others)]
 
         start = [solution.point.log_sigma_tp] + ([solution.point.log_scale] if task.scale_free else [])
-        free, _ = gauss_newton.minimise(misfit, jnp.stack(start))
-        rest = misfit(free)
+        free, _ = gauss_newton.minimise(linearise, jnp.stack(start))
+        rest = linearise(free)[0]
         return rest @ rest / inflation, coefficients(jnp.stack([free[0], q]))
 
-    at_boundary = solution.point.q <= FLOOR_Q
     best_q = jnp.maximum(solution.point.q, FLOOR_Q)
     lowest, best = held(best_q)
 
-    def crossing(limit: Scalar, inner: Scalar, outer: Scalar) -> Scalar:
-        """σa where the cost passes `limit` between ln q = inner, below it, and ln q = outer, above it."""
+    def bound(rise: Scalar, edge: Scalar) -> tuple[Scalar, Bool[Array, ""]]:
+        """σa where the cost has risen by `rise` on the way to q = `edge`, and whether it has risen so much there."""
 
         def halve(_: int, ends: tuple[Scalar, Scalar]) -> tuple[Scalar, Scalar]:
             below, above = ends
             middle = (below + above) / 2
-            is_below = held(jnp.exp(middle))[0] < limit
+            is_below = held(jnp.exp(middle))[0] < lowest + rise
             return jnp.where(is_below, middle, below), jnp.where(is_below, above, middle)
 
-        below, above = jax.lax.fori_loop(0, HALVINGS, halve, (inner, outer))
-        return held(jnp.exp(above))[1][0]
+        _, above = jax.lax.fori_loop(0, HALVINGS, halve, (jnp.log(best_q), jnp.log(edge)))
+        cost, (sigma_a, _) = held(jnp.exp(above))
+        return sigma_a, cost >= lowest + rise
 
-    def bound(rise: Scalar, edge: Scalar, never: float) -> Scalar:
-        """The crossing towards `edge`, or `never` where the cost has not risen enough there."""
-        risen = held(edge)[0] >= lowest + rise
-        return jnp.where(risen, crossing(lowest + rise, jnp.log(best_q), jnp.log(edge)), never)
-
-    floor = jnp.asarray(FLOOR_Q, best_q.dtype)
-    lower = jnp.where(at_boundary, 0.0, bound(jnp.asarray(TWO_SIDED), floor, 0.0))
-    one_sided = at_boundary | (lower <= 0)
-    upper = bound(jnp.where(one_sided, ONE_SIDED, TWO_SIDED), jnp.asarray(model.q_max, best_q.dtype), jnp.inf)
-    return Profile(jnp.where(at_boundary, 0.0, best[0]), best[1], lower, upper)
+    rises = jnp.asarray([TWO_SIDED, TWO_SIDED, ONE_SIDED], best_q.dtype)
+    edges = jnp.asarray([FLOOR_Q, model.q_max, model.q_max], best_q.dtype)
+    crossed_at, crossed = jax.vmap(bound)(rises, edges)
+    above_zero = crossed[0] & (solution.point.q > FLOOR_Q)
+    end = jnp.where(above_zero, 1, 2)
+    return Profile(
+        sigma_a=jnp.where(solution.point.q > FLOOR_Q, best[0], 0),
+        sigma_sp=best[1],
+        lower=jnp.where(above_zero, crossed_at[0], 0),
+        upper=jnp.where(crossed[end], crossed_at[end], jnp.inf),
+    )
 
 
 @partial(jax.jit, static_argnums=0)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from functools import partial
 from typing import Literal, NamedTuple
 
@@ -12,12 +11,13 @@ from jaxtyping import Array, Bool, Float
 
 from bssrdf.fit import gauss_newton
 from bssrdf.fit.curves import Curves
-from bssrdf.fit.predict import Parameters, Scalar, curve, q_of_total, total
+from bssrdf.fit.predict import Parameters, Scalar, curve_with_slopes, q_of_total, total, total_slope
 from bssrdf.fit.scan import start
 from bssrdf.fit.window import counts
 from bssrdf.transport.forward import ForwardModel
 
 Constraint = Literal["exact", "soft", "none"]
+Vector = Float[Array, " p"]
 PASSES = 3
 """The window is given in mean free paths, which the fit finds: so it is laid, fitted and laid again."""
 
@@ -31,91 +31,24 @@ class Task(NamedTuple):
     errors_known: bool
 
 
-class Nuisance(NamedTuple):
-    """Errors that are common to a whole curve, as offsets around 0."""
+class Common(NamedTuple):
+    """Standard deviations of errors that a whole curve shares."""
 
     total_r: Scalar
-    """Added to R; matters where R is taken as exact."""
+    """Of R, where R is taken as exact."""
     log_scale: Scalar
-    """Of the curve and of R, for example the reference's reflectance."""
+    """Relative, of the curve and of R together, such as that of the reference's reflectance."""
     log_mm: Scalar
-    """Of all lengths."""
-
-
-NO_NUISANCE = Nuisance(0.0, 0.0, 0.0)
+    """Relative, of all lengths."""
 
 
 class Solution(NamedTuple):
-    """The optimum of one curve and what is needed to judge it."""
+    """The optimum of one curve and the radii it rests on."""
 
     point: Parameters
     counts: Float[Array, " n"]
     weight: Float[Array, " n"]
     converged: Bool[Array, ""]
-
-
-def solve(task: Task, model: ForwardModel, data: Curves) -> Solution:
-    """Least squares under the task's constraint; `data` holds one curve (no batch axis)."""
-    known = jnp.where(jnp.isnan(data.weight), 1.0, data.weight)
-    q_of_r = None if task.constraint == "none" else q_of_total(model, data.total_r)
-    everywhere = (known != 0) & (data.r_lo >= data.window[0]) & (data.r_hi <= data.window[1])
-    point = start(model, data.r_lo, data.r_hi, data.rd, everywhere.astype(data.rd.dtype), q_of_r, task.scale_free)
-
-    def refit(_: int, last: Solution) -> Solution:
-        inside = counts(model, last.point.log_sigma_tp, data.r_lo, data.r_hi, known, data.window)
-        weight = inside * (known if task.errors_known else _relative(task, model, data, last.point))
-        point, converged = _optimise(task, model, data, last.point, weight)
-        return Solution(point, inside, weight, converged)
-
-    return jax.lax.fori_loop(0, PASSES, refit, Solution(point, known, known, jnp.asarray(True)))
-
-
-def _relative(task: Task, model: ForwardModel, data: Curves, point: Parameters) -> Float[Array, " n"]:
-    """Equal relative errors, about the model and not about the noisy data, which would bias the far end."""
-    expected = curve(model, point, data.r_lo, data.r_hi, task.binned)
-    return 1 / jnp.maximum(expected, jnp.finfo(expected.dtype).tiny ** 0.5)
-
-
-def residual(
-    task: Task,
-    model: ForwardModel,
-    data: Curves,
-    weight: Float[Array, " n"],
-    point: Parameters,
-    nuisance: Nuisance = NO_NUISANCE,
-) -> Float[Array, " m"]:
-    """Standardised differences of the curve at `point`, and with `soft` of the total as one datum more."""
-    stretch = jnp.exp(nuisance.log_mm)
-    expected = curve(model, point, data.r_lo * stretch, data.r_hi * stretch, task.binned)
-    measured = data.rd * jnp.exp(nuisance.log_scale) / stretch**2
-    difference = jnp.where(weight > 0, measured - expected, 0) * weight
-    if task.constraint != "soft":
-        return difference
-    gap = (data.total_r * jnp.exp(nuisance.log_scale) - total(model, point.q)) / data.total_r_sd
-    return jnp.concatenate([difference, gap[None]])
-
-
-def pack(task: Task, point: Parameters) -> Float[Array, " p"]:
-    """The free parameters of the task, as a vector."""
-    shape = [] if task.constraint == "exact" else [point.q]
-    scale = [point.log_scale] if task.scale_free else []
-    return jnp.stack([point.log_sigma_tp, *shape, *scale])
-
-
-def unpack(task: Task, free: Float[Array, " p"], q_of_r: Scalar) -> Parameters:
-    """The point that the free parameters stand for; with `exact` R alone gives q."""
-    q = q_of_r if task.constraint == "exact" else free[1]
-    return Parameters(free[0], q, free[-1] if task.scale_free else jnp.zeros_like(free[0]))
-
-
-def _optimise(
-    task: Task, model: ForwardModel, data: Curves, point: Parameters, weight: Float[Array, " n"]
-) -> tuple[Parameters, Bool[Array, ""]]:
-    def misfit(free: Float[Array, " p"]) -> Float[Array, " m"]:
-        return residual(task, model, data, weight, unpack(task, free, point.q))
-
-    free, converged = gauss_newton.minimise(misfit, pack(task, point))
-    return unpack(task, free, point.q), converged
 
 
 class Judged(NamedTuple):
@@ -133,79 +66,177 @@ class Judged(NamedTuple):
     runs_z: Scalar
 
 
+@partial(jax.jit, static_argnums=0)
+def fit_batch(task: Task, model: ForwardModel, data: Curves, common: Common) -> Judged:
+    """Fit and judge every curve of a batch; `common` holds one value a curve."""
+
+    def one(data: Curves, common: Common) -> Judged:
+        return judge(task, model, data, common, solve(task, model, data))
+
+    return jax.vmap(one)(data, common)
+
+
+def solve(task: Task, model: ForwardModel, data: Curves) -> Solution:
+    """Least squares under the task's constraint; `data` holds one curve (no batch axis)."""
+    known = jnp.where(jnp.isnan(data.weight), 1.0, data.weight)
+    q_of_r = None if task.constraint == "none" else q_of_total(model, data.total_r)
+    everywhere = (known != 0) & (data.r_lo >= data.window[0]) & (data.r_hi <= data.window[1])
+    point = start(model, data.r_lo, data.r_hi, data.rd, everywhere.astype(data.rd.dtype), q_of_r, task.scale_free)
+
+    def refit(_: int, last: Solution) -> Solution:
+        inside = counts(model, last.point.log_sigma_tp, data.r_lo, data.r_hi, known, data.window)
+        weight = inside * (known if task.errors_known else _relative(task, model, data, last.point))
+        point, converged = optimise(task, model, data, last.point, weight)
+        return Solution(point, inside, weight, converged)
+
+    return jax.lax.fori_loop(0, PASSES, refit, Solution(point, known, known, jnp.asarray(True)))
+
+
+def optimise(
+    task: Task, model: ForwardModel, data: Curves, point: Parameters, weight: Float[Array, " n"]
+) -> tuple[Parameters, Bool[Array, ""]]:
+    """The best point near `point` with these weights; q stays where the constraint is `exact`."""
+
+    def linearise(free: Vector) -> tuple[Float[Array, " m"], Float[Array, "p m"]]:
+        there = _unpack(task, free, point.q)
+        return residual(task, model, data, weight, there)[:2]
+
+    free, converged = gauss_newton.minimise(linearise, _pack(task, point))
+    return _unpack(task, free, point.q), converged
+
+
+class Residual(NamedTuple):
+    """Standardised differences and their derivatives."""
+
+    value: Float[Array, " m"]
+    by_free: Float[Array, "p m"]
+    by_q: Float[Array, " m"]
+    by_log_scale: Float[Array, " m"]
+    by_log_mm: Float[Array, " m"]
+
+
+def residual(task: Task, model: ForwardModel, data: Curves, weight: Float[Array, " n"], point: Parameters) -> Residual:
+    """(measured − model)/sd of the curve and, with `soft`, of the total as one datum more.
+
+    Lengths scale out of R_d = σt′² f(q, σt′r): an error of all lengths acts as ln σt′ does, less the 1/mm² of R_d.
+    """
+    used = weight > 0
+    expected, by_log_sigma, by_q = curve_with_slopes(model, point, data.r_lo, data.r_hi, task.binned)
+    by_log_mm = -2 * data.rd - (by_log_sigma - 2 * expected)
+    columns = [data.rd - expected, -by_log_sigma, -by_q, -expected, data.rd, by_log_mm]
+    value, by_log_sigma, by_q, by_factor, by_log_scale, by_log_mm = (
+        jnp.where(used, column, 0) * weight for column in columns
+    )
+    rows = [by_log_sigma]
+    if task.constraint != "exact":
+        rows.append(by_q)
+    if task.scale_free:
+        rows.append(by_factor)
+    all_columns = [value, *rows, by_q, by_log_scale, by_log_mm]
+    if task.constraint == "soft":
+        slope = -total_slope(model, point.q) / data.total_r_sd
+        gap = (data.total_r - total(model, point.q)) / data.total_r_sd
+        common = data.total_r / data.total_r_sd
+        zero = jnp.zeros_like(gap)
+        last = [gap, zero, slope, *([zero] if task.scale_free else []), slope, common, zero]
+        all_columns = [jnp.append(column, entry) for column, entry in zip(all_columns, last, strict=True)]
+    return Residual(all_columns[0], jnp.stack(all_columns[1:-3]), *all_columns[-3:])
+
+
+def judge(task: Task, model: ForwardModel, data: Curves, common: Common, solution: Solution) -> Judged:
+    """Linear error propagation: the scatter of the curve, then the common errors of R, scale and length."""
+    point = solution.point
+    misfit = residual(task, model, data, solution.weight, point)
+    p = misfit.by_free.shape[0]
+    dof = solution.counts.sum() + (task.constraint == "soft") - p
+    chi2 = misfit.value @ misfit.value / jnp.maximum(dof, 1)
+
+    inverse = _inverse(misfit.by_free @ misfit.by_free.T)
+    covariance = _shape_of_free(task, inverse) * (1.0 if task.errors_known else chi2)
+    for response, q_shift, sd in _common_responses(task, model, data, point, misfit, common):
+        free_shift = -inverse @ (misfit.by_free @ response)
+        shift = jnp.stack([free_shift[0], q_shift if task.constraint == "exact" else free_shift[1]]) * sd
+        covariance = covariance + shift[:, None] * shift[None, :]
+
+    best = jnp.stack([point.log_sigma_tp, point.q])
+    slope = jax.jacfwd(coefficients)(best)
+    result = slope @ covariance @ slope.T
+    sd = jnp.sqrt(jnp.diagonal(result))
+    sigma_a, sigma_sp = coefficients(best)
+    return Judged(
+        solution=solution,
+        q_sd=jnp.sqrt(covariance[1, 1]),
+        sigma_a=sigma_a,
+        sigma_sp=sigma_sp,
+        sigma_a_sd=sd[0],
+        sigma_sp_sd=sd[1],
+        correlation=result[0, 1] / (sd[0] * sd[1]),
+        chi2=chi2,
+        total_r=total(model, point.q),
+        runs_z=_runs(misfit.value[: data.rd.shape[0]], solution.counts),
+    )
+
+
 def coefficients(shape: Float[Array, " 2"]) -> Float[Array, " 2"]:
     """(σa, σs′) of (ln σt′, q); σa is 0 where q is below 0."""
     absorbed = jnp.maximum(shape[1], 0) ** 2 / 3
     return jnp.exp(shape[0]) * jnp.stack([absorbed, 1 - absorbed])
 
 
-def judge(task: Task, model: ForwardModel, data: Curves, common_sd: Nuisance, solution: Solution) -> Judged:
-    """Linear error propagation: the scatter of the curve, then the common errors of R, scale and length."""
-    free = pack(task, solution.point)
-    zero = Nuisance(*jnp.zeros(3, free.dtype))
+def _common_responses(
+    task: Task, model: ForwardModel, data: Curves, point: Parameters, misfit: Residual, common: Common
+) -> list[tuple[Float[Array, " m"], Scalar, Scalar]]:
+    """For each common error: what it does to the residual, what to q where R fixes q, and its sd."""
+    zero = jnp.zeros_like(point.q)
+    if task.constraint != "exact":
+        return [(misfit.by_log_scale, zero, common.log_scale), (misfit.by_log_mm, zero, common.log_mm)]
+    q_by_r = 1 / total_slope(model, point.q)
+    q_by_scale = data.total_r * q_by_r
+    return [
+        (misfit.by_q * q_by_r, q_by_r, common.total_r),
+        (misfit.by_log_scale + misfit.by_q * q_by_scale, q_by_scale, common.log_scale),
+        (misfit.by_log_mm, zero, common.log_mm),
+    ]
 
-    def at(free: Float[Array, " p"], nuisance: Nuisance) -> Parameters:
-        total_r = data.total_r * jnp.exp(nuisance.log_scale) + nuisance.total_r
-        return unpack(task, free, q_of_total(model, total_r) if task.constraint == "exact" else free[0])
 
-    def rest(free: Float[Array, " p"], nuisance: Nuisance) -> Float[Array, " m"]:
-        return residual(task, model, data, solution.weight, at(free, nuisance), nuisance)
+def _shape_of_free(task: Task, inverse: Float[Array, "p p"]) -> Float[Array, "2 2"]:
+    """Covariance of (ln σt′, q) from that of the free parameters."""
+    if task.constraint == "exact":
+        return jnp.zeros((2, 2), inverse.dtype).at[0, 0].set(inverse[0, 0])
+    return inverse[:2, :2]
 
-    def shape(free: Float[Array, " p"], nuisance: Nuisance) -> Float[Array, " 2"]:
-        return jnp.stack(at(free, nuisance)[:2])
 
-    misfit = residual(task, model, data, solution.weight, solution.point)
-    dof = solution.counts.sum() + (task.constraint == "soft") - free.shape[0]
-    chi2 = misfit @ misfit / jnp.maximum(dof, 1)
+def _pack(task: Task, point: Parameters) -> Vector:
+    shape = [] if task.constraint == "exact" else [point.q]
+    scale = [point.log_scale] if task.scale_free else []
+    return jnp.stack([point.log_sigma_tp, *shape, *scale])
 
-    by_free, by_nuisance = jax.jacfwd(rest, argnums=(0, 1))(free, zero)
-    inverse = _inverse(by_free.T @ by_free)
-    along, direct = jax.jacfwd(shape, argnums=(0, 1))(free, zero)
-    covariance = along @ inverse @ along.T * (1.0 if task.errors_known else chi2)
-    for response, straight, common in zip(by_nuisance, direct, common_sd, strict=True):
-        shift = (straight - along @ (inverse @ (by_free.T @ response))) * common
-        covariance = covariance + jnp.outer(shift, shift)
 
-    best = jnp.stack(solution.point[:2])
-    slope = jax.jacfwd(coefficients)(best)
-    result = slope @ covariance @ slope.T
-    sd = jnp.sqrt(jnp.diagonal(result))
-    return Judged(
-        solution,
-        jnp.sqrt(covariance[1, 1]),
-        *coefficients(best),
-        *sd,
-        result[0, 1] / (sd[0] * sd[1]),
-        chi2,
-        total(model, solution.point.q),
-        _runs(misfit[: data.rd.shape[0]], solution.counts),
-    )
+def _unpack(task: Task, free: Vector, q_of_r: Scalar) -> Parameters:
+    q = q_of_r if task.constraint == "exact" else free[1]
+    return Parameters(free[0], q, free[-1] if task.scale_free else jnp.zeros_like(free[0]))
+
+
+def _relative(task: Task, model: ForwardModel, data: Curves, point: Parameters) -> Float[Array, " n"]:
+    """Equal relative errors, about the model and not about the noisy data, which would bias the far end."""
+    expected = curve_with_slopes(model, point, data.r_lo, data.r_hi, task.binned)[0]
+    return 1 / jnp.maximum(expected, jnp.finfo(expected.dtype).tiny ** 0.5)
 
 
 def _inverse(information: Float[Array, "p p"]) -> Float[Array, "p p"]:
-    """Inverse with the diagonal scaled to 1 first; infinite errors come out as NaN or inf, not as an exception."""
-    scale = jnp.sqrt(jnp.maximum(jnp.diagonal(information), jnp.finfo(information.dtype).tiny))
-    return jnp.linalg.inv(information / jnp.outer(scale, scale)) / jnp.outer(scale, scale)
+    """Inverse of a normal matrix, a column at a time."""
+    return jax.vmap(lambda unit: gauss_newton.solve_damped(information, unit, jnp.zeros_like(unit[0])))(
+        jnp.eye(information.shape[0], dtype=information.dtype)
+    )
 
 
 def _runs(misfit: Float[Array, " n"], inside: Float[Array, " n"]) -> Scalar:
     """Wald–Wolfowitz: how many standard deviations the number of runs of one sign lies below chance."""
-    order = jnp.argsort(1 - inside, stable=True)
-    sign = misfit[order] > 0
-    valid = inside[order] > 0
-    n = valid.sum()
-    plus = (sign & valid).sum()
-    minus = n - plus
-    runs = 1 + ((sign[1:] != sign[:-1]) & valid[1:]).sum()
-    mean = 1 + 2 * plus * minus / jnp.maximum(n, 1)
-    variance = (mean - 1) * (mean - 2) / jnp.maximum(n - 1, 1)
-    return (mean - runs) / jnp.sqrt(jnp.maximum(variance, 1e-9))
-
-
-@partial(jax.jit, static_argnums=0)
-def fit_batch(task: Task, model: ForwardModel, data: Curves, common_sd: Nuisance) -> Judged:
-    """Fit every curve of a batch; `common_sd` holds one value a curve."""
-    one: Callable[[Curves, Nuisance], Judged] = lambda curve, common: judge(  # noqa: E731
-        task, model, curve, common, solve(task, model, curve)
-    )
-    return jax.vmap(one)(data, common_sd)
+    valid = inside > 0
+    plus = (valid & (misfit > 0)).sum()
+    minus = valid.sum() - plus
+    runs = 1 + (valid[1:] & valid[:-1] & ((misfit[1:] > 0) != (misfit[:-1] > 0))).sum()
+    n = jnp.maximum(plus + minus, 2)
+    expected = 1 + 2 * plus * minus / n
+    variance = (expected - 1) * (expected - 2) / (n - 1)
+    return (expected - runs) / jnp.sqrt(jnp.maximum(variance, 1e-9))

@@ -1,8 +1,8 @@
 """The forward model in the fit's own parameters: s = ln σt′ and q = √(3σa/σt′).
 
 The total falls as 1 − cq for small q, so it is q, not σa, in which the total is linear near R = 1. There q may run
-below 0 while a fit is under way: the curve is continued evenly and the total oddly about R = 1, which keeps both smooth;
-a result with q < 0 is put back to σa = 0 by the caller and bounded from above.
+below 0 while a fit is under way: the curve is continued evenly and the total oddly about R = 1, which keeps both
+smooth; a result with q < 0 is put back to σa = 0 by the caller and bounded from above.
 """
 
 from __future__ import annotations
@@ -48,14 +48,33 @@ def curve(
     return values * jnp.exp(point.log_scale)
 
 
+def curve_with_slopes(
+    model: ForwardModel, point: Parameters, r_lo: Float[Array, " n"], r_hi: Float[Array, " n"], binned: bool
+) -> tuple[Float[Array, " n"], Float[Array, " n"], Float[Array, " n"]]:
+    """R_d and its derivatives by ln σt′ and by q."""
+
+    def shaped(log_sigma_tp: Scalar, q: Scalar) -> Float[Array, " n"]:
+        return curve(model, Parameters(log_sigma_tp, q, point.log_scale), r_lo, r_hi, binned)
+
+    at = (point.log_sigma_tp, point.q)
+    one, zero = jnp.ones_like(at[0]), jnp.zeros_like(at[0])
+    value, by_log_sigma = jax.jvp(shaped, at, (one, zero))
+    return value, by_log_sigma, jax.jvp(shaped, at, (zero, one))[1]
+
+
 def total(model: ForwardModel, q: Scalar) -> Scalar:
     """Total reflectance; it depends on q alone."""
     inside = model.total(medium_of(model, Parameters(jnp.zeros_like(q), q, jnp.zeros_like(q))))
     return jnp.where(q >= 0, inside, 2 - inside)
 
 
+def total_slope(model: ForwardModel, q: Scalar) -> Scalar:
+    """dR/dq, taken beside 0 where a model's own derivative may not exist at 0."""
+    return jax.grad(lambda q: total(model, q))(jnp.maximum(jnp.abs(q), SLOPE_Q))
+
+
 def q_of_total(model: ForwardModel, total_r: Scalar) -> Scalar:
-    """The q in the model's range whose total is nearest to R; differentiable in R, also at the ends of the range."""
+    """The q in the model's range whose total is nearest to R, by bisection; no derivative: see `total_slope`."""
     lo = jnp.zeros_like(total_r)
     hi = jnp.full_like(total_r, model.q_max)
 
@@ -66,6 +85,4 @@ def q_of_total(model: ForwardModel, total_r: Scalar) -> Scalar:
         return jnp.where(above, mid, lo), jnp.where(above, hi, mid)
 
     lo, hi = jax.lax.fori_loop(0, 52, halve, (lo, hi))
-    root = jax.lax.stop_gradient((lo + hi) / 2)
-    slope = jax.lax.stop_gradient(jax.grad(lambda q: total(model, q))(jnp.maximum(root, SLOPE_Q)))
-    return root - (total(model, root) - total_r - jax.lax.stop_gradient(total(model, root) - total_r)) / slope
+    return (lo + hi) / 2

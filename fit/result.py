@@ -89,7 +89,8 @@ def _linear_interval(judged: Judged) -> tuple[float, float]:
 
 def _window(job: Job, judged: Judged) -> tuple[float, float]:
     channel = job.piece.channels[job.channel]
-    used = judged.solution.counts[: len(channel.r_mm)] > 0
+    used = np.empty(len(channel.r_mm), bool)
+    used[np.argsort(channel.r_mm, kind="stable")] = judged.solution.counts[: len(channel.r_mm)] > 0
     if not used.any():
         return (float("nan"), float("nan"))
     lo = channel.r_mm if channel.r_lo_mm is None else channel.r_lo_mm

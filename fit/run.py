@@ -14,7 +14,7 @@ import numpy as np
 from bssrdf.errors import InputError
 from bssrdf.fit.curves import Curves, bucket_of, stack
 from bssrdf.fit.intervals import Profile, profile_batch
-from bssrdf.fit.kernel import Constraint, Judged, Nuisance, Task, fit_batch
+from bssrdf.fit.kernel import Common, Constraint, Judged, Task, fit_batch
 from bssrdf.fit.result import Job, channel_fit, factor_of, needs_profile
 from bssrdf.session.records import ChannelFit, Slice
 from bssrdf.transport.forward import DipoleModel, ForwardModel
@@ -44,7 +44,7 @@ class Group(NamedTuple):
 
 
 @scoped_x64
-def fit_slices(slices: Sequence[Slice], options: FitOptions = FitOptions()) -> list[dict[str, ChannelFit]]:  # noqa: B008
+def fit_slices(slices: Sequence[Slice], options: FitOptions = FitOptions()) -> list[dict[str, ChannelFit]]:
     """Fit every channel of every slice.
 
     Returns, in order, a `ChannelFit` by channel for each slice. A fit that fails says so in its `status` and `flags`;
@@ -65,7 +65,7 @@ def fit_slices(slices: Sequence[Slice], options: FitOptions = FitOptions()) -> l
     return [{name: fit[name] for name in piece.channels} for fit, piece in zip(fits, slices, strict=True)]
 
 
-def fit_slice(piece: Slice, options: FitOptions = FitOptions()) -> dict[str, ChannelFit]:  # noqa: B008
+def fit_slice(piece: Slice, options: FitOptions = FitOptions()) -> dict[str, ChannelFit]:
     """`fit_slices` for one slice."""
     return fit_slices([piece], options)[0]
 
@@ -115,13 +115,13 @@ def _profiles(
     return [_row(found, at) for at in range(len(rows))]
 
 
-def _common_errors(jobs: Sequence[Job]) -> Nuisance:
+def _common_errors(jobs: Sequence[Job]) -> Common:
     """Standard deviations of R (for `exact`), of ln scale and of ln mm; one row a job."""
     rows = [
         (job.piece.total_r_sd.get(job.channel, 0.0) / factor_of(job.piece), job.piece.scale_rel_sd, job.piece.mm_rel_sd)
         for job in jobs
     ]
-    return Nuisance(*np.asarray(rows).T)
+    return Common(*np.asarray(rows).T)
 
 
 def _padded(batch: Any) -> Any:

@@ -10,10 +10,10 @@ from jaxtyping import Array, Float
 from bssrdf.fit.predict import Parameters, Scalar, curve
 from bssrdf.transport.forward import ForwardModel
 
-LOG_EXTENT = np.linspace(np.log(0.3), np.log(1000.0), 40)
+LOG_EXTENT = np.linspace(np.log(0.3), np.log(1000.0), 24)
 """ln of (largest radius in mean free paths), tried for each curve."""
-Q_GRID = np.geomspace(0.02, 1.5, 9)
-SAMPLES = 24
+Q_GRID = np.geomspace(0.02, 1.5, 7)
+SAMPLES = 16
 
 
 def start(
