@@ -15,7 +15,7 @@ Array = NDArray[np.float64]
 LABEL_REL_SD = 0.05
 """How far a label is trusted: EXIF times are rounded by up to 6.7 %."""
 _LEAST_DN = 20.0
-_LEAST_SD = 8.0
+_LEAST_SD = 10.0
 _MOST_SHARE = 0.9
 _LEVELS = 4
 _PER_LEVEL = 500
@@ -58,12 +58,16 @@ def comparable(
     """Pixels by which two exposures can be compared: clear of noise in the one, of saturation in the other.
 
     They are chosen by the sum of the two. Given the sum, the split of Poisson counts tells nothing but the ratio of
-    the times, so the choice does not bias it; a choice by either value would.
+    the times, so the choice does not bias it; a choice by either value would. At the dark end read noise, equal in
+    both, comes in, and the sum that has this property gives the longer exposure another weight.
     """
     span = sensor.saturation_dn - sensor.black_dn
-    least = max(_LEAST_DN, _LEAST_SD * np.sqrt(sensor.read_var_dn()))
-    total = shorter + longer
-    return (total > least * (1 + ratio)) & (total < _MOST_SHARE * span * (1 + 1 / ratio))
+    noise_var = 2 * sensor.read_var_dn()
+    least = max(_LEAST_DN, _LEAST_SD * np.sqrt(noise_var))
+    shot_var = least / sensor.gain_e_per_dn
+    weight = ratio * (shot_var + noise_var) / (ratio * shot_var + noise_var)
+    bright = shorter + np.float32(weight) * longer > least * (1 + weight * ratio)
+    return bright & (shorter + longer < _MOST_SHARE * span * (1 + 1 / ratio))
 
 
 def measured_ratio(shorter_s: float, longer_s: float, shorter: Array, longer: Array) -> Ratio | None:

@@ -23,9 +23,8 @@ from bssrdf.measure.reflectance import (
     spot_radius_mm,
     total_light,
 )
-from bssrdf.measure.tail import Boundary
+from bssrdf.measure.tail import Surroundings
 from bssrdf.session.records import ChannelSlice, Geometry, Material, Reference, Session, Slice
-from bssrdf.transport.fresnel import boundary_a
 
 _TILE_ETA = 1.35
 """Sintered PTFE."""
@@ -68,7 +67,9 @@ def measure_slice(
     """
     material, geometry, tile = _tables(session)
     spots = locate(sample), locate(reference)
-    boundaries = _boundary(material.eta, geometry), _boundary(_TILE_ETA, geometry)
+    angles = geometry.view_angle_deg, session.beam.incidence_deg
+    around = Surroundings(max(material.eta, 1.0), max(material.g or 0.0, 0.0), *angles)
+    around_tile = Surroundings(_TILE_ETA, 0.0, *angles)
     flags = _image_flags(session, sample, reference, spots)
     channels: dict[str, ChannelSlice] = {}
     totals: dict[str, float] = {}
@@ -77,11 +78,9 @@ def measure_slice(
     for channel in sample.channels:
         if reference.is_saturated(channel):
             continue
-        back, incident = (
-            total_light(image, channel, spot, boundary, glare=options.glare)
-            for image, spot, boundary in zip((sample, reference), spots, boundaries, strict=True)
-        )
+        incident = total_light(reference, channel, spots[1], around_tile, glare=options.glare)
         per_light = reflectance_of(tile, channel, session, sample) / incident.light
+        back = total_light(sample, channel, spots[0], around, glare=options.glare, per_light=per_light)
         profiles = {0: back.profile} if options.radial else slice_profiles(sample, channel, spots[0], options.band_mm)
         channels[channel] = channel_slice(profiles, back.floor, per_light)
         lost[channel] = back.lost_fraction
@@ -127,12 +126,6 @@ def _tables(session: Session) -> tuple[Material, Geometry, Reference]:
     assert session.geometry
     assert session.reference
     return session.material, session.geometry, session.reference
-
-
-def _boundary(eta: float, geometry: Geometry) -> Boundary:
-    """How light leaves towards the camera."""
-    inside = np.sin(np.radians(geometry.view_angle_deg)) / max(eta, 1.0)
-    return Boundary(float(boundary_a(max(eta, 1.0))), float(np.sqrt(1 - inside**2)))
 
 
 def _image_flags(session: Session, sample: Image, reference: Image, spots: tuple[Spot, Spot]) -> list[str]:

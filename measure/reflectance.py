@@ -18,7 +18,7 @@ from bssrdf.errors import InputError
 from bssrdf.measure.merge import Hdr
 from bssrdf.measure.pixels import ChannelPixels, mosaic_period, pixels_of
 from bssrdf.measure.profile import Points, Profile, bin_edges, profile
-from bssrdf.measure.tail import Boundary, Estimate, fit_tail
+from bssrdf.measure.tail import Estimate, Surroundings, fit_tail
 from bssrdf.session.records import Array, ChannelSlice
 
 _BAND_PX = 10
@@ -125,11 +125,14 @@ class Total:
     """Light within the frame by the number of samples that were merged for its pixel."""
 
 
-def total_light(image: Image, channel: str, spot: Spot, boundary: Boundary, *, glare: bool) -> Total:
+def total_light(
+    image: Image, channel: str, spot: Spot, surroundings: Surroundings, *, glare: bool, per_light: float | None = None
+) -> Total:
     """Σ p A_px over the frame, with what the tail of the curve says of the light outside.
 
     Pixels without a value count as their distance from the beam makes them. With `glare` a floor over the whole frame
-    is taken for veiling glare and subtracted.
+    is taken for veiling glare and subtracted; `per_light` = 1/KΦ, where known, then helps to tell it from the sample's
+    own light.
     """
     pixels = image.pixels(channel)
     across, along = image.surface.centred(pixels.x_px, pixels.y_px, (spot.x_px, spot.y_px))
@@ -140,18 +143,23 @@ def total_light(image: Image, channel: str, spot: Spot, boundary: Boundary, *, g
         value[~pixels.good] = curve.curve()(np.hypot(across, along)[~pixels.good])
     inside = float(value @ area)
     variance = float(np.where(pixels.good, pixels.variance, 0.0) @ area**2)
-
     by_count = np.bincount(pixels.count, value * area).astype(float)
+
     outline = image.outline(spot)
-    fit = fit_tail(curve, float(np.hypot(*outline).min()), boundary, with_floor=glare)
+    reach, boundary = float(np.hypot(*outline).min()), surroundings.boundary()
+    fit = fit_tail(curve, reach, boundary, with_floor=False)
+    if fit is not None and glare:
+        total = (inside + fit.tail.beyond(outline)) * per_light if per_light else None
+        attenuation = surroundings.attenuation(total) if total else None
+        fit = fit_tail(curve, reach, boundary, with_floor=True, attenuation=attenuation)
     if fit is None:
         return Total(inside, float(np.sqrt(variance)), 0.0, Estimate(0.0, 0.0), curve, by_count)
     frame = float(area.sum())
     outside = fit.estimate(lambda tail: tail.beyond(outline) - tail.floor * frame)
-    floor = fit.estimate(lambda tail: tail.floor)
     light = inside + outside.value
+    sd = float(np.sqrt(variance + outside.sd**2))
     lost = fit.tail.beyond(outline) / light
-    return Total(light, float(np.sqrt(variance + outside.sd**2)), lost, floor, curve, by_count)
+    return Total(light, sd, lost, fit.estimate(lambda tail: tail.floor), curve, by_count)
 
 
 def _points(image: Image, channel: str, spot: Spot) -> Points:

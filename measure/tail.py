@@ -13,10 +13,13 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from scipy.optimize import least_squares
+from scipy.optimize import brentq, least_squares
 
 from bssrdf.measure.profile import Profile
 from bssrdf.session.records import Array
+from bssrdf.transport.discrete_ordinates import decay_constant, half_space
+from bssrdf.transport.exit_radiance import transmittance
+from bssrdf.transport.fresnel import boundary_a
 
 _INNER_SHARE = 0.3
 """The fit begins at this share of the distance from the beam to the nearest edge of the frame."""
@@ -24,6 +27,10 @@ _MODEL_REL_SD = 0.003
 _MODEL_FREEDOM = 4
 """The form is right to this, and departs from the truth as smoothly as a curve of this many free values."""
 _LEAST_BINS = 8
+_ATTENUATION_REL_SD = 0.05
+_ORDINATES = 16
+_LOG_LOSS = (-14.0, -0.5)
+"""Range of ln(1 − α′) in which a total is looked up."""
 
 
 class Boundary(NamedTuple):
@@ -31,6 +38,40 @@ class Boundary(NamedTuple):
 
     a: float
     cosine: float
+
+
+class Surroundings(NamedTuple):
+    """What is known of the medium beside its curve. Angles in degrees, outside."""
+
+    eta: float
+    g: float
+    view_angle_deg: float
+    incidence_deg: float
+
+    def boundary(self) -> Boundary:
+        inside = np.sin(np.radians(self.view_angle_deg)) / self.eta
+        return Boundary(float(boundary_a(self.eta)), float(np.sqrt(1 - inside**2)))
+
+    def attenuation(self, total: float) -> float:
+        """σtr times the mean free path of the half space whose total, as this camera sees it, is `total`."""
+        cosines = np.array([np.cos(np.radians(self.view_angle_deg))])
+        entering = float(transmittance(self.eta, np.cos(np.radians([self.incidence_deg])))[0])
+
+        def albedo(log_loss: float) -> float:
+            scattering = (1 - np.exp(log_loss)) / (1 - self.g)
+            return float(scattering / (scattering + np.exp(log_loss)))
+
+        def excess(log_loss: float) -> float:
+            seen = half_space(albedo(log_loss), self.g, self.eta, cosines, _ORDINATES).radiance[0]
+            return float(entering * seen) - total
+
+        low, high = _LOG_LOSS
+        if not excess(high) < 0 < excess(low):
+            log_loss = low if total > 0.5 else high
+        else:
+            log_loss = brentq(excess, low, high, xtol=1e-4)
+        mfp = 1 + self.g / (1 - self.g) * (1 - np.exp(log_loss))
+        return decay_constant(albedo(log_loss), self.g) * mfp
 
 
 @dataclass(frozen=True)
@@ -100,8 +141,14 @@ class TailFit:
         return Estimate(value, float(np.sqrt(slope @ self.covariance @ slope)))
 
 
-def fit_tail(profile: Profile, reach: float, boundary: Boundary, *, with_floor: bool) -> TailFit | None:
-    """The tail of a curve seen round a beam that is `reach` from the nearest edge; None where there is too little."""
+def fit_tail(
+    profile: Profile, reach: float, boundary: Boundary, *, with_floor: bool, attenuation: float | None = None
+) -> TailFit | None:
+    """The tail of a curve seen round a beam that is `reach` from the nearest edge; None where there is too little.
+
+    A floor is hard to tell from a slower decay. `attenuation`, σtr times the mean free path by the total reflectance,
+    helps to.
+    """
     outer = (profile.r > _INNER_SHARE * reach) & np.isfinite(profile.sd)
     r, value = profile.r[outer], profile.value[outer]
     model_sd = _MODEL_REL_SD * np.sqrt(max(1.0, len(r) / _MODEL_FREEDOM))
@@ -119,6 +166,13 @@ def fit_tail(profile: Profile, reach: float, boundary: Boundary, *, with_floor: 
     low = [-20.0, np.log(1e-4 / reach), np.log(1e-3 * reach), -1.0][:n]
     high = [20.0, np.log(30 / reach), np.log(reach), 1.0][:n]
     start = [0.0, np.log(1 / reach), np.log(0.05 * reach), 0.0][:n]
-    solved = least_squares(lambda p: (make(p)(r) - value) / sd, start, bounds=(low, high))
+
+    def residual(p: Array) -> Array:
+        by_curve = (make(p)(r) - value) / sd
+        if attenuation is None:
+            return by_curve
+        return np.append(by_curve, (p[1] + p[2] - np.log(attenuation)) / _ATTENUATION_REL_SD)
+
+    solved = least_squares(residual, start, bounds=(low, high))
     covariance = np.linalg.pinv(solved.jac.T @ solved.jac)
     return TailFit(make(solved.x), solved.x, covariance, make)
