@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 import os
-import sys
 import traceback
 from typing import Any
 
@@ -50,14 +49,6 @@ class Group(click.Group):
         super().__init__(*args, **kwargs)
         self.params += _common_options()
 
-    def invoke(self, ctx: click.Context) -> Any:
-        """Run the command; a reader that has had enough, such as `head`, is no failure."""
-        try:
-            return super().invoke(ctx)
-        except BrokenPipeError:
-            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-            return 0
-
 
 def is_quiet() -> bool:
     """Whether --quiet was given, before or after the command."""
@@ -83,6 +74,8 @@ def run(group: click.Group, arguments: list[str]) -> int:
         code = group.main(arguments, prog_name="bssrdf", standalone_mode=False)
     except click.exceptions.Exit as stop:
         return stop.exit_code
+    except SystemExit:
+        return 0  # click's answer to a reader that has had enough, such as `head`
     except click.ClickException as error:
         error.show()
         return WRONG_USAGE
@@ -93,7 +86,7 @@ def run(group: click.Group, arguments: list[str]) -> int:
         return _failed(arguments, error, str(error), error.exit_code)
     except OSError as error:
         place = f"{error.filename}: " if error.filename else ""
-        return _failed(arguments, error, f"{place}{error.strerror or error}; check path and permissions", BAD_INPUT)
+        return _failed(arguments, error, f"{place}{error.strerror or error}; check path, permissions and space", BAD_INPUT)
     except Exception as error:
         return _failed(arguments, error, f"a bug of ours: {error!r} (--debug shows where)", BUG)
     return code if isinstance(code, int) else 0
