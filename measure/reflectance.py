@@ -18,11 +18,12 @@ from bssrdf.errors import InputError
 from bssrdf.measure.merge import Hdr
 from bssrdf.measure.pixels import ChannelPixels, mosaic_period, pixels_of
 from bssrdf.measure.profile import Points, Profile, bin_edges, profile
-from bssrdf.measure.tail import Estimate, Surroundings, fit_tail
+from bssrdf.measure.tail import Estimate, Surroundings, Tail, fit_tail
 from bssrdf.session.records import Array, ChannelSlice
 
 _BAND_PX = 10
 _OUTLINE_STEPS = 200
+_GLARE_PASSES = 2
 _SPOT_SD_PX = 3.0
 _SPOT_REACH_PX = 60
 _RING_POINTS = 2000
@@ -146,16 +147,21 @@ def total_light(
     by_count = np.bincount(pixels.count, value * area).astype(float)
 
     outline = image.outline(spot)
+    frame = float(area.sum())
+
+    def outside_of(tail: Tail) -> float:
+        return tail.beyond(outline) - tail.floor * frame
+
     reach, boundary = float(np.hypot(*outline).min()), surroundings.boundary()
-    fit = fit_tail(curve, reach, boundary, with_floor=False)
-    if fit is not None and glare:
-        total = (inside + fit.tail.beyond(outline)) * per_light if per_light else None
-        attenuation = surroundings.attenuation(total) if total else None
-        fit = fit_tail(curve, reach, boundary, with_floor=True, attenuation=attenuation)
+    fit = fit_tail(curve, reach, boundary, with_floor=glare)
+    if glare and per_light is not None:
+        for _ in range(_GLARE_PASSES):
+            if fit is not None:
+                attenuation = surroundings.attenuation((inside + outside_of(fit.tail)) * per_light)
+                fit = fit_tail(curve, reach, boundary, with_floor=True, attenuation=attenuation)
     if fit is None:
         return Total(inside, float(np.sqrt(variance)), 0.0, Estimate(0.0, 0.0), curve, by_count)
-    frame = float(area.sum())
-    outside = fit.estimate(lambda tail: tail.beyond(outline) - tail.floor * frame)
+    outside = fit.estimate(outside_of)
     light = inside + outside.value
     sd = float(np.sqrt(variance + outside.sd**2))
     lost = fit.tail.beyond(outline) / light

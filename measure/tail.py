@@ -21,13 +21,13 @@ from bssrdf.transport.discrete_ordinates import decay_constant, half_space
 from bssrdf.transport.exit_radiance import transmittance
 from bssrdf.transport.fresnel import boundary_a
 
-_INNER_SHARE = 0.3
+_INNER_SHARE = 0.35
 """The fit begins at this share of the distance from the beam to the nearest edge of the frame."""
 _MODEL_REL_SD = 0.003
 _MODEL_FREEDOM = 4
 """The form is right to this, and departs from the truth as smoothly as a curve of this many free values."""
 _LEAST_BINS = 8
-_ATTENUATION_REL_SD = 0.05
+_ATTENUATION_REL_SD = 0.03
 _ORDINATES = 16
 _LOG_LOSS = (-14.0, -0.5)
 """Range of ln(1 − α′) in which a total is looked up."""
