@@ -2,6 +2,9 @@
 
 Values are per unit flux that entered the medium and hemispherical over exit directions. All functions are
 elementwise in their arguments and finite, with finite derivatives, at r = 0, sigma_a = 0, albedo_p = 1 and far out.
+Where the true derivative is infinite, that of the tail and the total in sigma_a = 0, it is given without that part.
+Arrays of the medium and of r broadcast by equal rank. The dtype is that of the medium and r together: in an x64 scope
+Python floats count as float64.
 """
 
 import functools
@@ -40,7 +43,7 @@ class Medium(NamedTuple):
     @property
     def sigma_tr(self) -> Float[Array, "..."]:
         """Effective transport coefficient σtr."""
-        return safe_sqrt(3 * self.sigma_a * self.sigma_tp)
+        return safe_sqrt(_square(self))
 
     @property
     def z_r(self) -> Real:
