@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
+import os
 import sys
 import time
 from pathlib import Path
@@ -34,6 +35,7 @@ REFERENCE_MEDIA = {
     "half_forward": (0.03, 1.0, 0.5, 1.45),
 }
 """σa, σs′ [1/mm], g, η."""
+TABLES = Path(__file__).parent.parent / "transport" / "tables" / "white.npz"
 ANGLES_DEG = (0.0, 30.0, 45.0, 60.0)
 
 
@@ -88,15 +90,35 @@ def reference_all(out: Path, core_seconds: float, n_threads: int) -> None:
     np.savez_compressed(out / "reference.npz", **stored)
 
 
+def compress_all(out: Path, tables: Path) -> None:
+    """The file of tables from the raw samples in `out`."""
+    from bssrdf.transport.table_fit import fit_tables
+    from bssrdf.transport.table_set import table_set, write_tables
+
+    fitted = {}
+    for path in sorted(out.glob("samples_g*.npz")):
+        samples = load_samples(path)
+        for eta, table in zip(samples.etas, fit_tables(samples), strict=True):
+            fitted[samples.g, float(eta)] = table
+            print(f"g {samples.g:g}, eta {eta:g}: chi2 {table.chi2:.2f}", file=sys.stderr)
+    write_tables(tables, table_set(fitted))
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("what", choices=["sample", "reference"])
-    parser.add_argument("--out", type=Path, required=True)
-    parser.add_argument("--core-seconds", type=float, required=True, help="processor time for a g or a medium")
-    parser.add_argument("--threads", type=int, required=True)
+    parser.add_argument("what", choices=["sample", "reference", "compress"])
+    parser.add_argument("--out", type=Path, required=True, help="folder of the raw samples")
+    parser.add_argument("--core-seconds", type=float, default=900.0, help="processor time for a g or a medium")
+    parser.add_argument("--threads", type=int, default=os.cpu_count())
+    parser.add_argument("--tables", type=Path, default=TABLES, help="file that compress writes")
     args = parser.parse_args()
     args.out.mkdir(parents=True, exist_ok=True)
-    {"sample": sample_all, "reference": reference_all}[args.what](args.out, args.core_seconds, args.threads)
+    if args.what == "sample":
+        sample_all(args.out, args.core_seconds, args.threads)
+    elif args.what == "reference":
+        reference_all(args.out, args.core_seconds, args.threads)
+    else:
+        compress_all(args.out, args.tables)
 
 
 if __name__ == "__main__":

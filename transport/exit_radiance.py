@@ -29,7 +29,7 @@ def transmittance(eta: float, mu: Floats) -> Floats:
     return 1 - (r_s**2 + r_p**2) / 2
 
 
-def _basis(eta: float, mu: Floats) -> Floats:
+def shape_basis(eta: float, mu: Floats) -> Floats:
     """Ft times powers of the cosine inside, about the middle of its range; shape (…, DEGREE + 1)."""
     grazing = np.sqrt(1 - 1 / eta**2)
     inside = np.sqrt(1 - (1 - mu * mu) / eta**2)
@@ -41,7 +41,7 @@ def _basis(eta: float, mu: Floats) -> Floats:
 def share_to_coefficients(eta: float) -> Floats:
     """Least squares from the shares of the bins to the polynomial, shape (DEGREE + 1, N_MU), errors as of counts."""
     square = (np.arange(N_MU)[:, None] + (1 + _NODES) / 2) / N_MU
-    mean = np.einsum("bqk,q->bk", _basis(eta, np.sqrt(square)), _WEIGHTS / 2)
+    mean = np.einsum("bqk,q->bk", shape_basis(eta, np.sqrt(square)), _WEIGHTS / 2)
     expected = mean[:, :1] / mean[:, 0].sum()
     scale = 1 / np.sqrt(expected)
     return np.linalg.pinv(mean * scale / N_MU) * scale.T
@@ -52,4 +52,4 @@ def angle_weights(eta: float, mu: float) -> Floats:
 
     The shares are those of all light that leaves: they add up to 1.
     """
-    return _basis(eta, np.asarray(mu, dtype=float)) @ share_to_coefficients(eta)
+    return shape_basis(eta, np.asarray(mu, dtype=float)) @ share_to_coefficients(eta)

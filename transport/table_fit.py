@@ -14,36 +14,35 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
-from scipy.interpolate import BSpline
 from scipy.linalg import cho_factor, cho_solve
 
-from bssrdf.transport.discrete_ordinates import decay_constant
 from bssrdf.transport.exit_radiance import DEGREE, share_to_coefficients
-from bssrdf.transport.white_samples import (
+from bssrdf.transport.table_grid import (
     N_Q,
-    N_R,
-    Q_MAX,
+    N_U_CELLS,
+    N_U_COARSE,
+    N_V_CELLS,
+    N_V_COARSE,
     R_MAX,
     R_ZERO,
-    WhiteSamples,
-    albedo_of,
+    U_MAX,
+    V_MAX,
+    basis,
+    kappa_reduced,
+    log_decay,
     q_nodes,
-    radius_of_bin_edges,
     u_of,
 )
+from bssrdf.transport.white_samples import N_R, WhiteSamples, radius_of_bin_edges
 from bssrdf.transport.white_walk import COARSE
 
 Floats = NDArray[np.float64]
 
-U_MAX = float(u_of(Q_MAX))
-V_MAX = float(np.log1p(R_MAX / R_ZERO))
-N_U_CELLS = N_Q - 1
-N_V_CELLS = 46
-N_U_COARSE = 8
-N_V_COARSE = 10
-ROUGHNESS_U = 0.01
-ROUGHNESS_V = 0.01
-"""Expected third differences of the coefficients of S, along u and v."""
+ROUGHNESS_V = 0.03
+"""Expected third differences of the coefficients of S along v."""
+ROUGHNESS_U = 0.3
+Q2_LEAST = 0.003
+"""Along u they are expected to be ROUGHNESS_U (q² + Q2_LEAST): S is a series in q² and q³."""
 BENDING_V = 0.5
 """Expected second differences along v: where there is no light to sample, S goes on as a power of r."""
 ANGLE_ROUGHNESS = 0.02
@@ -63,23 +62,6 @@ class FittedTable(NamedTuple):
     """(N_U_COARSE + 3, N_V_COARSE + 3, DEGREE + 1): shape of the exit radiance, see `exit_radiance`."""
     chi2: float
     """Mean square of the residuals of the bins in their standard errors."""
-
-
-def basis(x: Floats, x_max: float, n_cells: int) -> sparse.csr_array:
-    """Cubic B-splines on n_cells uniform cells over [0, x_max], shape (n, n_cells + 3)."""
-    knots = np.arange(-3, n_cells + 4) * (x_max / n_cells)
-    return sparse.csr_array(BSpline.design_matrix(np.clip(x, 0, x_max), knots, 3))
-
-
-def kappa_reduced(q: Floats, g: float) -> Floats:
-    """Exact decay constant in units of σt′ at each q."""
-    albedo = albedo_of(q, g)
-    return np.array([decay_constant(a, g) for a in albedo]) / (1 - albedo * g)
-
-
-def log_decay(kappa_r: Floats) -> Floats:
-    """ln((1 + κ r) e^(−κ r))."""
-    return np.log1p(kappa_r) - kappa_r
 
 
 def fit_tables(samples: WhiteSamples) -> list[FittedTable]:
@@ -122,7 +104,9 @@ def _fit(samples: WhiteSamples, e: int) -> FittedTable:
     )
     variance = np.einsum("ij,ji->i", knots @ np.eye(knots.shape[1]), cho_solve(factor, knots.T.toarray()))
     sd = np.sqrt(variance).reshape(N_Q, N_V_CELLS + 1)
-    return FittedTable(coefficients.reshape(shape), sd, _fit_angles(samples, e, edges), chi2)
+    log_curve = coefficients.reshape(shape)
+    log_curve[0] = log_curve[2]
+    return FittedTable(log_curve, sd, _fit_angles(samples, e, edges), chi2)
 
 
 def _smooth_error(se: Floats, value: Floats) -> Floats:
@@ -148,7 +132,7 @@ def _penalty() -> Floats:
     ln R_d at fixed r has no term linear in q: the path lengths there have a finite mean.
     """
     n_u, n_v = N_U_CELLS + 3, N_V_CELLS + 3
-    third_u = np.diff(np.eye(n_u), 3, axis=0) / ROUGHNESS_U
+    third_u = np.diff(np.eye(n_u), 3, axis=0) / (ROUGHNESS_U * (q_nodes()[:, None] ** 2 + Q2_LEAST))[1:]
     third_v = np.diff(np.eye(n_v), 3, axis=0) / ROUGHNESS_V
     second_v = np.diff(np.eye(n_v), 2, axis=0) / BENDING_V
     even = np.zeros((1, n_u))

@@ -18,52 +18,24 @@ from bssrdf.transport.discrete_ordinates import decay_constant
 from bssrdf.transport.exit_radiance import N_MU
 from bssrdf.transport.parallel import Progress, run_all
 from bssrdf.transport.photon import stream_states
+from bssrdf.transport.table_grid import R_ZERO, V_MAX, albedo_of, q_nodes
 from bssrdf.transport.white_walk import COARSE, white_walk
 
 Floats = NDArray[np.float64]
 
-Q_ZERO = 0.05
-Q_MAX = 0.98**0.5
-"""α′ = 0.02."""
-N_Q = 32
 GROUPS = ((0, 4), (4, 7), (7, 10), (10, 13), (13, 16), (16, 20), (20, 25), (25, 32))
 """Nodes of q that one walk serves; the first is the one whose light it follows."""
-R_ZERO = 0.02
-"""[1/σt′] radial bins are uniform in ln(1 + r/R_ZERO)."""
-R_MAX = 200.0
-"""[1/σt′]."""
 N_R = 112
-BINS_PER_V = N_R / np.log1p(R_MAX / R_ZERO)
+"""Radial bins, uniform in v up to R_MAX."""
+BINS_PER_V = N_R / V_MAX
 JUMP_DEPTH = 10.0
 JUMP_MARGIN = 6.0
 """[1/σt′] deeper than JUMP_DEPTH light diffuses; it jumps to JUMP_MARGIN under the surface."""
-FOLLOW = 0.85
+FOLLOW = 0.7
 FOLLOW_CONSERVATIVE = 0.35
 """Share of the decay constant that the weights follow outwards; where the first albedo is 1, of the last one's."""
 N_BATCHES = 32
 PILOT_PHOTONS = 2000
-
-
-def u_of(q: Floats | float) -> Floats:
-    """The coordinate ln(1 + q/Q_ZERO) − ½ ln α′ in which nodes are uniform and light varies evenly."""
-    return np.log1p(q / Q_ZERO) - np.log1p(-q * q) / 2
-
-
-def q_nodes() -> Floats:
-    """The N_Q nodes of q, from 0 to Q_MAX, uniform in u."""
-    fine = Q_MAX * np.linspace(0, 1, 2001)
-    u = np.linspace(0, u_of(fine[-1]), N_Q)
-    q = np.interp(u, u_of(fine), fine)
-    for _ in range(6):
-        slope = 1 / (Q_ZERO + q) + q / (1 - q * q)
-        q -= (u_of(q) - u) / slope
-    return np.clip(q, 0, Q_MAX)
-
-
-def albedo_of(q: Floats, g: float) -> Floats:
-    """Single-scattering albedo σs/σt at q = √(1 − α′)."""
-    reduced = (1 - q) * (1 + q)
-    return reduced / (reduced + q * q * (1 - g))
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,103 @@
+"""A forward model from a table's coefficients: the exact parts added, the curve scaled to its exact total."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from numpy.typing import NDArray
+
+from bssrdf.transport.discrete_ordinates import half_space
+from bssrdf.transport.exit_radiance import DEGREE, shape_basis
+from bssrdf.transport.single import first_order_rd, first_order_total
+from bssrdf.transport.table_grid import (
+    N_U_CELLS,
+    N_V_CELLS,
+    R_MAX,
+    R_ZERO,
+    V_MAX,
+    albedo_of,
+    basis,
+    interpolating,
+    kappa_reduced,
+    log_decay,
+    q_nodes,
+)
+from bssrdf.transport.table_model import N_W_CELLS, RHO_ZERO, W_MAX, TableModel
+
+Floats = NDArray[np.float64]
+
+_MU_FIT = np.cos(np.radians(np.linspace(0, 80, 17)))
+_QUADRATURE = np.polynomial.legendre.leggauss(6)
+
+
+def assemble(eta: float, g: float, log_curve: Floats, log_curve_sd: Floats, angles: Floats) -> TableModel:
+    """The model of one (η, g); all arrays in double precision.
+
+    Totals, decay and first order are computed for exactly this η and g, whatever the curve was interpolated from.
+    """
+    q = q_nodes()
+    albedo = albedo_of(q, g)
+    exact = [half_space(a, g, eta, _MU_FIT) for a in albedo[1:]]
+    total = np.array([1.0, *(space.total for space in exact)])
+    with jax.enable_x64(True):
+        first_total = float(first_order_total(1.0, 0.0, g, eta))
+        first_decay = eta + np.sqrt(eta**2 - 1)
+        first = _first_order(eta, g, first_decay)
+    kappa = kappa_reduced(q, g)
+    integral = _integral(log_curve, kappa) * ((1 - q) * (1 + q)) ** 2
+    scale = np.log((total - albedo * first_total) / integral)
+    shapes = np.array([_exit_shape(eta, space.radiance / space.total) for space in exact])
+    arrays: dict[str, Any] = {
+        "log_curve": log_curve + interpolating(scale, even=True)[:, None],
+        "log_curve_sd": log_curve_sd,
+        "diffusion_ratio": interpolating(_diffusion_ratio(kappa, q)),
+        "log_total": interpolating(-np.log(total / ((1 - q) * (1 + q)))),
+        "first": interpolating(first),
+        "angles": angles,
+        "total_angles": interpolating(np.concatenate([_at_conservative(shapes, q), shapes])),
+    }
+    return TableModel(eta=eta, g=g, first_decay=first_decay, **arrays)
+
+
+def _diffusion_ratio(kappa: Floats, q: Floats) -> Floats:
+    """κ²/(3q²), 1 in the limit q = 0."""
+    return np.append(1.0, (kappa[1:] / q[1:]) ** 2 / 3)
+
+
+def _at_conservative(values: Floats, q: Floats) -> Floats:
+    """Values at q = 0 by a parabola through the next three, shape (1, …)."""
+    return np.asarray(np.polynomial.polynomial.polyfit(q[1:4], values[:3], 2)[:1])
+
+
+def _first_order(eta: float, g: float, decay: float) -> Floats:
+    """ln(ρ R⁽¹⁾/(σs σt)) + decay ρ at the knots in ρ; the exponential taken out where R⁽¹⁾ itself underflows."""
+    rho = RHO_ZERO * np.expm1(np.linspace(0, W_MAX, N_W_CELLS + 1))
+    rho[0] = 1e-9
+    value = np.asarray(first_order_rd(1.0, 0.0, g, eta, jnp.minimum(rho, 100.0)))
+    logs = np.log(value * np.minimum(rho, 100.0)) + decay * np.minimum(rho, 100.0)
+    near = rho < 100.0
+    slope = (logs[near][-1] - logs[near][-8]) / (np.log(rho[near][-1]) - np.log(rho[near][-8]))
+    return np.where(near, logs, logs[near][-1] + slope * (np.log(rho) - np.log(rho[near][-1])))
+
+
+def _integral(log_curve: Floats, kappa: Floats) -> Floats:
+    """∫ 2πr e^S (1 + κ r) e^(−κ r) dr at every knot of q, the tail beyond R_MAX going on as r⁻³."""
+    nodes, weights = _QUADRATURE
+    v = V_MAX * (np.arange(N_V_CELLS)[:, None] + (1 + nodes) / 2).ravel() / N_V_CELLS
+    dv = np.tile(weights, N_V_CELLS) * V_MAX / N_V_CELLS / 2
+    r = R_ZERO * np.expm1(v)
+    at_knots = basis(np.arange(N_U_CELLS + 1.0), float(N_U_CELLS), N_U_CELLS) @ log_curve
+    within = np.exp((basis(v, V_MAX, N_V_CELLS) @ at_knots.T).T + log_decay(kappa[:, None] * r))
+    edge = np.exp((basis(np.array([V_MAX]), V_MAX, N_V_CELLS) @ at_knots.T)[0] - kappa * R_MAX)
+    return 2 * np.pi * (within @ (dv * r * (r + R_ZERO)) + edge * R_MAX**2)
+
+
+def _exit_shape(eta: float, factor: Floats) -> Floats:
+    """Coefficients, (DEGREE + 1,), of the radiance factors given at `_MU_FIT`."""
+    return np.asarray(np.linalg.lstsq(shape_basis(eta, _MU_FIT), factor, rcond=None)[0])
+
+
+assert _MU_FIT.size > DEGREE + 1

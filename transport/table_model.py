@@ -1,0 +1,193 @@
+"""The white Monte Carlo table as a forward model in JAX. Lengths in mm, coefficients in 1/mm.
+
+R_d(r) is light scattered once, known exactly, plus that scattered twice or more, from the table (see `table_fit`). The
+integral of both over the surface is the total by discrete ordinates.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from bssrdf.errors import InputError
+from bssrdf.transport.dipole import Medium, _decay
+from bssrdf.transport.exit_radiance import DEGREE
+from bssrdf.transport.fresnel import fresnel_t
+from bssrdf.transport.precision import Real
+from bssrdf.transport.table_grid import (
+    N_U_CELLS,
+    N_U_COARSE,
+    N_V_CELLS,
+    N_V_COARSE,
+    Q_MAX,
+    Q_ZERO,
+    R_MAX,
+    R_ZERO,
+    U_MAX,
+    V_MAX,
+)
+
+RHO_ZERO = 0.02
+RHO_MAX = 2000.0
+"""[1/σt] light scattered once is tabulated over ln(1 + ρ/RHO_ZERO)."""
+W_MAX = float(np.log1p(RHO_MAX / RHO_ZERO))
+N_W_CELLS = 120
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(12)
+
+
+class TableModel(NamedTuple):
+    """Monte Carlo light of a half space of one η and g, as spline coefficients; `table_assembly` makes it."""
+
+    eta: Real
+    g: Real
+    log_curve: Float[Array, "u v"]
+    """S of `table_fit`."""
+    log_curve_sd: Float[Array, "q v"]
+    """Its standard error at the knots: relative error of the light scattered twice or more."""
+    diffusion_ratio: Float[Array, " u"]
+    """κ²/(3 σa σt′): 1 at albedo 1."""
+    log_total: Float[Array, " u"]
+    """−ln(R/α′)."""
+    first: Float[Array, " w"]
+    """ln(ρ R⁽¹⁾/(σs σt)) + first_decay ρ."""
+    first_decay: Real
+    angles: Float[Array, "u v k"]
+    """Shape of the exit radiance of the curve, see `exit_radiance`."""
+    total_angles: Float[Array, "u k"]
+    """The same of the total."""
+
+    @property
+    def name(self) -> str:
+        return "mc"
+
+    @property
+    def q_max(self) -> float:
+        return float(np.sqrt(3) * Q_MAX)
+
+    @property
+    def window_mfp(self) -> tuple[float, float]:
+        return (0.0, R_MAX)
+
+    def rd(self, medium: Medium, r: Real) -> Float[Array, "..."]:
+        """R_d(r) [1/mm²]; raises InputError outside the table where the values are known."""
+        self.check(medium, r)
+        return self._first(medium, r) + self._multiple(medium, r)
+
+    def bin_average(self, medium: Medium, r_lo: Real, r_hi: Real) -> Float[Array, "..."]:
+        """Mean of R_d over the annulus [r_lo, r_hi], weighted by r dr."""
+        self.check(medium, r_hi)
+        unit = R_ZERO / medium.sigma_tp
+        v_lo, v_hi = jnp.log1p(r_lo / unit), jnp.log1p(r_hi / unit)
+        total = area = jnp.zeros(())
+        for node, weight in zip((1 + _NODES) / 2, _WEIGHTS, strict=True):
+            r = unit * jnp.expm1(v_lo + (v_hi - v_lo) * node)
+            ring = weight * r * (r + unit)
+            total += ring * (self._first(medium, r) + self._multiple(medium, r))
+            area += ring
+        return total / area
+
+    def total(self, medium: Medium) -> Float[Array, "..."]:
+        """Total diffuse reflectance."""
+        self.check(medium, 0.0)
+        return medium.albedo_p * jnp.exp(-_spline(self.log_total, _u(medium), N_U_CELLS))
+
+    def radiance_factor(self, medium: Medium, r: Real, mu: Real) -> Float[Array, "..."]:
+        """π L/R_d at radius r towards the outside cosine `mu`: 1 for a Lambertian surface."""
+        self.check(medium, r)
+        rows = _rows(self.angles.reshape(self.angles.shape[0], -1), _u(medium), N_U_COARSE)
+        by_power = rows.reshape(rows.shape[:-1] + self.angles.shape[1:])
+        v = _v(medium, r)
+        shape = [_spline(by_power[..., k], v, N_V_COARSE) for k in range(DEGREE + 1)]
+        return _exit_lobe(self.eta, mu, shape)
+
+    def total_radiance_factor(self, medium: Medium, mu: Real) -> Float[Array, "..."]:
+        """π L/R over the whole surface towards the outside cosine `mu`: 1 for a Lambertian surface."""
+        self.check(medium, 0.0)
+        u = _u(medium)
+        return _exit_lobe(self.eta, mu, [_spline(self.total_angles[:, k], u, N_U_CELLS) for k in range(DEGREE + 1)])
+
+    def check(self, medium: Medium, r: Real) -> None:
+        """Raise InputError where medium or radius, if known outside a compiled function, lie outside the table."""
+        values = (medium.sigma_a, medium.sigma_sp, r)
+        if any(isinstance(value, jax.core.Tracer) for value in values):
+            return
+        sigma_a, sigma_sp, radius = (np.asarray(value) for value in values)
+        if not (np.all(np.isfinite(sigma_a)) and np.all(sigma_a >= 0)):
+            raise InputError(f"sigma_a = {sigma_a}: the Monte Carlo table needs finite values of at least 0 [1/mm]")
+        if not (np.all(np.isfinite(sigma_sp)) and np.all(sigma_sp > 0)):
+            raise InputError(f"sigma_sp = {sigma_sp}: the Monte Carlo table needs finite values above 0 [1/mm]")
+        lowest = float(np.min(sigma_sp / (sigma_a + sigma_sp)))
+        if lowest < (1 - Q_MAX**2) * (1 - 1e-6):
+            raise InputError(f"reduced albedo = {lowest:.4g}: the Monte Carlo table starts at {1 - Q_MAX**2:.4g}")
+        if not np.all(radius >= 0):
+            raise InputError(f"r = {np.min(radius)}: give radii of at least 0 [mm]")
+        farthest = float(np.max(radius * (sigma_a + sigma_sp)))
+        if farthest > R_MAX * (1 + 1e-6):
+            raise InputError(f"r = {farthest:.4g} reduced mean free paths: the Monte Carlo table ends at {R_MAX:g}")
+
+    def _first(self, medium: Medium, r: Real) -> Float[Array, "..."]:
+        sigma_s = medium.sigma_sp / (1 - self.g)
+        sigma_t = sigma_s + medium.sigma_a
+        rho = sigma_t * r
+        w = jnp.log1p(rho / RHO_ZERO) / W_MAX
+        return sigma_s / r * jnp.exp(_spline(self.first, w, N_W_CELLS) - self.first_decay * rho)
+
+    def _multiple(self, medium: Medium, r: Real) -> Float[Array, "..."]:
+        u = _u(medium)
+        x = medium.sigma_tp * r
+        ratio = medium.sigma_a / medium.sigma_tp
+        kappa2 = 3 * ratio * _spline(self.diffusion_ratio, u, N_U_CELLS)
+        smooth = _spline(_rows(self.log_curve, u, N_U_CELLS), _v(medium, r), N_V_CELLS)
+        beyond = 3 * jnp.log(jnp.maximum(x, R_MAX) / R_MAX)
+        return jnp.square(medium.sigma_sp) * jnp.exp(smooth - beyond) * _decay(kappa2 * x * x)
+
+
+def _u(medium: Medium) -> Float[Array, "..."]:
+    """u/U_MAX of the medium. Light is even in q at q = 0: a q of 1e-8 there keeps derivatives right and finite."""
+    ratio = jnp.asarray(medium.sigma_a / medium.sigma_tp)
+    q = jnp.sqrt(ratio + jnp.finfo(jnp.result_type(ratio, float)).eps)
+    return (jnp.log1p(q / Q_ZERO) + jnp.log(medium.sigma_tp / medium.sigma_sp) / 2) / U_MAX
+
+
+def _v(medium: Medium, r: Real) -> Float[Array, "..."]:
+    """v/V_MAX of the radius, at most 1."""
+    return jnp.minimum(jnp.log1p(r * medium.sigma_tp / R_ZERO) / V_MAX, 1)
+
+
+def _cell(t: Float[Array, "..."], n_cells: int) -> tuple[Float[Array, "..."], tuple[Float[Array, "..."], ...]]:
+    """First coefficient, and the weights of the four, of a cubic B-spline at t in [0, 1]."""
+    position = t * n_cells
+    first = jnp.clip(jnp.floor(position), 0, n_cells - 1)
+    f = position - first
+    e = 1 - f
+    weights = (e**3 / 6, 2 / 3 - f * f * (1 - f / 2), 2 / 3 - e * e * (1 - e / 2), f**3 / 6)
+    return first.astype(jnp.int32), weights
+
+
+def _rows(coefficients: Float[Array, "u n"], t: Float[Array, "..."], n_cells: int) -> Float[Array, "... n"]:
+    """A table's coefficients along its second axis, at t along its first."""
+    first, weights = _cell(t, n_cells)
+    a, b, c, d = (jnp.asarray(weights[k])[..., None] * coefficients[first + k] for k in range(4))
+    return a + b + c + d
+
+
+def _spline(coefficients: Float[Array, "... n"], t: Float[Array, "..."], n_cells: int) -> Float[Array, "..."]:
+    """Spline at t; coefficients may vary over leading axes, which broadcast against t."""
+    first, weights = _cell(jnp.asarray(t), n_cells)
+    lead, n = coefficients.shape[:-1], coefficients.shape[-1]
+    start = n * jnp.arange(np.prod(lead, dtype=int), dtype=jnp.int32).reshape(lead) + first
+    flat = coefficients.reshape(-1)
+    a, b, c, d = (weights[k] * flat[start + k] for k in range(4))
+    return a + b + c + d
+
+
+def _exit_lobe(eta: Real, mu: Real, shape: list[Float[Array, "..."]]) -> Float[Array, "..."]:
+    """Ft times the polynomial of `exit_radiance` in the cosine inside."""
+    grazing = jnp.sqrt(1 - 1 / jnp.square(eta))
+    inside = jnp.sqrt(1 - (1 - jnp.square(mu)) / jnp.square(eta))
+    centred = (2 * inside - 1 - grazing) / (1 - grazing)
+    return fresnel_t(eta, mu) * sum(coefficient * centred**k for k, coefficient in enumerate(shape))

@@ -1,0 +1,121 @@
+"""Tables over a grid of (η, g): the file that holds them, and interpolation between them."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import zipfile
+from pathlib import Path
+from typing import IO, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bssrdf.errors import InputError
+from bssrdf.transport.table_assembly import assemble
+from bssrdf.transport.table_fit import FittedTable
+from bssrdf.transport.table_model import TableModel
+
+Floats = NDArray[np.float64]
+
+FORMAT = 1
+KIND = "bssrdf white table"
+NEIGHBOURS = 4
+"""Nodes of η and of g that take part in an interpolation, at most."""
+
+
+class TableSet(NamedTuple):
+    """Tables at every pair of `etas` and `gs`; see `table_fit.FittedTable` for the arrays."""
+
+    etas: Floats
+    gs: Floats
+    log_curve: Floats
+    """(n_g, n_eta, …)."""
+    log_curve_sd: Floats
+    angles: Floats
+
+    def covers(self, eta: float, g: float) -> bool:
+        """Whether (eta, g) lies on or between the nodes."""
+        return bool(self.etas[0] <= eta <= self.etas[-1] and self.gs[0] <= g <= self.gs[-1])
+
+    def model(self, eta: float, g: float) -> TableModel:
+        """The model at (eta, g), by cubic interpolation of ln R; at a node it is that table itself."""
+        if not self.covers(eta, g):
+            raise InputError(
+                f"eta = {eta}, g = {g}: the tables cover eta {self.etas[0]:g} to {self.etas[-1]:g} "
+                f"and g {self.gs[0]:g} to {self.gs[-1]:g}"
+            )
+        weights = np.outer(lagrange(self.gs, g), lagrange(self.etas, eta))
+        log_curve, sd, angles = (
+            np.tensordot(w, a, 2)
+            for w, a in ((weights, self.log_curve), (np.abs(weights), self.log_curve_sd), (weights, self.angles))
+        )
+        return assemble(eta, g, log_curve, sd, angles)
+
+
+def lagrange(nodes: Floats, x: float) -> Floats:
+    """Weights of the values at `nodes` in their interpolating polynomial through the NEIGHBOURS nearest, at x."""
+    near = np.sort(np.argsort(np.abs(nodes - x), kind="stable")[:NEIGHBOURS])
+    weights = np.zeros(nodes.size)
+    for i in near:
+        others = nodes[near[near != i]]
+        weights[i] = np.prod((x - others) / (nodes[i] - others))
+    return weights
+
+
+def table_set(tables: dict[tuple[float, float], FittedTable]) -> TableSet:
+    """The set of tables given by (g, eta), a full grid."""
+    gs = sorted({g for g, _ in tables})
+    etas = sorted({eta for _, eta in tables})
+
+    def grid(field: str) -> Floats:
+        return np.array([[getattr(tables[g, eta], field) for eta in etas] for g in gs])
+
+    return TableSet(np.array(etas), np.array(gs), grid("log_curve"), grid("log_curve_sd"), grid("angles"))
+
+
+def write_tables(path: Path, tables: TableSet) -> None:
+    """Write the tables in single precision; the file appears under its name only when it is whole."""
+    arrays = {name: array.astype(np.float32) for name, array in tables._asdict().items()}
+    arrays["etas"], arrays["gs"] = tables.etas, tables.gs
+    part = path.with_name(f".{path.name}.{os.getpid()}.part")
+    try:
+        with part.open("wb") as file:
+            np.savez_compressed(file, format=FORMAT, kind=KIND, checksum=_checksum(arrays), **arrays)
+            file.flush()
+            os.fsync(file.fileno())
+        part.replace(path)
+    finally:
+        part.unlink(missing_ok=True)
+
+
+def read_tables(path: Path) -> TableSet:
+    """Read what `write_tables` wrote; raises InputError for anything else."""
+    try:
+        with path.open("rb") as file:
+            arrays = _arrays(file)
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zipfile.LargeZipFile) as error:
+        raise InputError(
+            f"{path}: not a table of Monte Carlo light ({error}); delete it and it is made again"
+        ) from None
+    return TableSet(**{name: array.astype(np.float64) for name, array in arrays.items()})
+
+
+def _arrays(file: IO[bytes]) -> dict[str, NDArray[np.generic]]:
+    with np.load(file, allow_pickle=False) as stored:
+        if str(stored["kind"]) != KIND:
+            raise ValueError(f'kind "{stored["kind"]}"')
+        if int(stored["format"]) != FORMAT:
+            raise ValueError(f"format {stored['format']} instead of {FORMAT}")
+        arrays = {name: stored[name] for name in TableSet._fields}
+        if str(stored["checksum"]) != _checksum(arrays):
+            raise ValueError("its checksum is wrong")
+    return arrays
+
+
+def _checksum(arrays: dict[str, NDArray[np.generic]]) -> str:
+    digest = hashlib.sha256()
+    for name in TableSet._fields:
+        digest.update(f"{name} {arrays[name].shape} {arrays[name].dtype.str}".encode())
+        digest.update(np.ascontiguousarray(arrays[name]).tobytes())
+    return digest.hexdigest()
