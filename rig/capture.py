@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal, NamedTuple
 
-from bssrdf.errors import BssrdfError, DeviceError, UsageError
+from bssrdf.errors import DeviceError, UsageError
 from bssrdf.rig.devices import Devices, devices_of, ports_of
 from bssrdf.rig.frame_check import Seen, check, drift
 from bssrdf.rig.interrupts import Interrupts, interrupts
@@ -130,6 +130,7 @@ class _Run:
         self._before: dict[Subject, Seen] = {}
         self._drift: dict[str, float] = {}
         self._watched = 0.0
+        self._overhead_s = 0.5
 
     def start(self, plan_file: Path) -> Captured:
         identities = self._devices.connect()
@@ -175,8 +176,7 @@ class _Run:
         done = {Path(frame.file).stem: self._session / frame.file for frame in there}
         compared = self._compared([step for step in steps if step.name in done])
         for number, step in enumerate(steps, 1):
-            left_s = sum(later.exposure_s for later in steps[number - 1 :]) / self._devices.clock.speed
-            event = Event("start", step, number, len(steps), left_s)
+            event = Event("start", step, number, len(steps), self._left_s(steps[number - 1 :]))
             if step.name in done:
                 if step in compared:
                     self._remember(step, self._seen(done[step.name], step), event)
@@ -184,9 +184,15 @@ class _Run:
             if self._signals.finish_frame:
                 raise KeyboardInterrupt
             self._report(event)
+            began = time.monotonic()
             self._remember(step, self._take(step, event), event)
+            self._overhead_s = time.monotonic() - began - step.exposure_s / self._devices.clock.speed
         write_record(self._session, replace(record, finished=self._devices.clock.utc(), drift=self._drift))
         return Captured(len(steps), len(steps) - len(there), self._drift)
+
+    def _left_s(self, steps: list[Step]) -> float:
+        """Time that the steps will take, each with as much around it as the last one had."""
+        return sum(step.exposure_s / self._devices.clock.speed + self._overhead_s for step in steps)
 
     def _compared(self, done: list[Step]) -> set[Step]:
         """The frames that new ones are compared with: the first and the last of each subject."""
@@ -286,23 +292,3 @@ class _Run:
             self._expect_shutter("closed")
             self._devices.operator.lay(subject)
             self._laid = subject
-
-
-def close_all(rig_file: Path) -> list[str]:
-    """The panic button: close the shutter and switch the beam off, whoever holds the port; what was done."""
-    devices = devices_of(read_rig(rig_file))
-    done, failures = [], []
-    for device, act, words in (
-        (devices.shutter, devices.shutter.close, "closed"),
-        (devices.beam, devices.beam.off, "off"),
-    ):
-        try:
-            device.connect()
-            act()
-            done.append(f"{device.name}: {words}")
-        except BssrdfError as error:
-            failures.append(str(error))
-    devices.release()
-    if failures:
-        raise DeviceError("; ".join([*done, *failures, "block the beam by hand"]))
-    return done

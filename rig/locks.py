@@ -17,7 +17,7 @@ from bssrdf.errors import DeviceError, UsageError
 @contextmanager
 def lock_ports(ports: set[str]) -> Iterator[None]:
     """Hold every port, or DeviceError that names the one in use and by what process."""
-    folder = platformdirs.user_runtime_path("bssrdf", ensure_exists=True)
+    folder = platformdirs.user_cache_path("bssrdf", ensure_exists=True)
     with ExitStack() as held:
         for port in sorted(ports):
             name = hashlib.sha256(port.encode()).hexdigest()[:16]

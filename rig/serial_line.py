@@ -2,11 +2,20 @@
 
 from __future__ import annotations
 
+import contextlib
 from typing import Protocol
 
 import serial
 
+try:
+    from termios import error as TerminalError
+except ImportError:  # Windows
+    TerminalError = OSError  # type: ignore[assignment,misc]
+
 from bssrdf.errors import DeviceError
+
+_LOST = (serial.SerialException, OSError, TerminalError)
+"""What a port raises that is gone; termios has an error of its own."""
 
 
 class BadReply(DeviceError):
@@ -31,7 +40,7 @@ def open_wire(port: str, baud: int, timeout_s: float) -> Wire:
     """The port, 8N1; a write that does not go out in time fails too."""
     try:
         return serial.Serial(port, baud, timeout=timeout_s, write_timeout=timeout_s)
-    except (serial.SerialException, OSError, ValueError) as error:
+    except (*_LOST, ValueError) as error:
         raise DeviceError(
             f"{port}: cannot be opened ({_reason(error)}); is the device plugged in and yours?"
         ) from error
@@ -48,7 +57,7 @@ class SerialLine:
         """Write a command that gets no reply."""
         try:
             self._wire.write(command)
-        except (serial.SerialException, OSError) as error:
+        except _LOST as error:
             raise DeviceError(
                 f"{self.name}: {command!r} could not be sent ({_reason(error)}); is it unplugged?"
             ) from error
@@ -57,7 +66,7 @@ class SerialLine:
         """Bytes up to and without `terminator`; `after` is the command they answer."""
         try:
             reply = self._wire.read_until(terminator)
-        except (serial.SerialException, OSError) as error:
+        except _LOST as error:
             raise DeviceError(f"{self.name}: lost after {after!r} ({_reason(error)}); is it unplugged?") from error
         if not reply.endswith(terminator):
             raise BadReply(
@@ -70,7 +79,7 @@ class SerialLine:
         """Drop what has come in and was not asked for."""
         try:
             self._wire.reset_input_buffer()
-        except (serial.SerialException, OSError) as error:
+        except _LOST as error:
             raise DeviceError(f"{self.name}: lost ({_reason(error)}); is it unplugged?") from error
 
     def drain(self, seconds: float) -> bytes:
@@ -78,13 +87,14 @@ class SerialLine:
         usual, self._wire.timeout = self._wire.timeout, seconds
         try:
             return self._wire.read_until(b"\xff\xfe never sent")
-        except (serial.SerialException, OSError) as error:
+        except _LOST as error:
             raise DeviceError(f"{self.name}: lost ({_reason(error)}); is it unplugged?") from error
         finally:
             self._wire.timeout = usual
 
     def release(self) -> None:
-        self._wire.close()
+        with contextlib.suppress(*_LOST):
+            self._wire.close()
 
 
 def _reason(error: Exception) -> str:

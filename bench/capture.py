@@ -1,0 +1,235 @@
+"""Capture under faults: every switch of the simulated bench at every step, kill −9, and what file safety costs."""
+
+from __future__ import annotations
+
+import os
+import random
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from statistics import median
+
+import numpy as np
+
+from bssrdf.errors import BssrdfError
+from bssrdf.rig.capture import Event, capture
+from bssrdf.rig.sim.launch import SimulatedBench
+from bssrdf.rig.sim.samples import published_sample, white_tile
+from bssrdf.rig.sim.scene import Scene
+from bssrdf.rig.sim.sensor import Sensor
+from bssrdf.session.atomic import sha256_of, sync
+from bssrdf.session.frames_csv import append_frame, recover_frames
+from bssrdf.session.records import Frame
+
+SHUTTER_FAULTS = (
+    "lost_command",
+    "lost_reply",
+    "late_reply",
+    "garbled_reply",
+    "partial_reply",
+    "doubled_reply",
+    "echo_lost",
+    "unplug",
+    "crash",
+    "stuck_open",
+    "stuck_closed",
+    "interlock",
+)
+CAMERA_FAULTS = ("busy", "busy_always", "no_event", "wrong_exposure", "store_full", "truncated_file", "crash")
+FAULTS = tuple(("shutter", fault) for fault in SHUTTER_FAULTS) + tuple(("camera", fault) for fault in CAMERA_FAULTS)
+
+PLAN = """\
+drift_check = true
+settle_s = 0.0
+[material]
+name = "Skin1"
+eta = 1.3
+[exposures]
+list_s = [0.016, 0.001]
+"""
+N_FRAMES = 10
+
+_COMMANDS_A_FRAME = 8
+"""Commands to the shutter within which a fault is put."""
+_SELF_CLOSE_S = 8.0
+"""Longest time in which a controller that cannot be reached any more closes by itself."""
+
+
+@dataclass(frozen=True)
+class Run:
+    """What one disturbed capture came to; `problems` is empty where all is as it should be."""
+
+    device: str
+    fault: str
+    frame: int
+    message: str
+    """The error that the capture ended with, or nothing where it coped."""
+    problems: tuple[str, ...]
+
+
+def small_scene() -> Scene:
+    """A bench whose frames are small and the same each time, so that a resumed capture can be compared."""
+    sensor = Sensor(height_px=80, width_px=120)
+    return Scene(published_sample("Skin1"), white_tile(), sensor, mm_per_px=0.2, noise="repeatable")
+
+
+class Campaign:
+    """Disturbs captures on one bench and holds them against an undisturbed one."""
+
+    def __init__(self, bench: SimulatedBench, folder: Path) -> None:
+        self._bench, self._folder = bench, folder
+        self._plan = folder / "plan.toml"
+        self._plan.write_text(PLAN, encoding="utf-8")
+        self._expected = self._listed(self._capture(folder / "undisturbed"))
+
+    def disturb(self, device: str, fault: str, frame: int, after: int = 0) -> Run:
+        """Play a fault `after` so many commands from the start of a frame; then repair, resume and compare."""
+        session = self._fresh("disturbed")
+        problems, message = [], ""
+
+        def arm(event: Event) -> None:
+            if event.what == "start" and event.number == frame:
+                for _ in range(after):
+                    self._bench.world.arm(device, "none")
+                self._bench.world.arm(device, fault)
+
+        try:
+            self._capture(session, report=arm)
+        except BssrdfError as error:
+            message = str(error)
+            named = "gphoto2" if device == "camera" else str(self._bench.folder / "shutter")
+            if named not in message:
+                problems.append("the message does not name the device")
+        if not self._dark(fault):
+            problems.append("light falls on the sample")
+        if fault == "stuck_open" and message and "by hand" not in message:
+            problems.append("nobody is told to block the beam")
+        problems += self._lost(session)
+        self.repair()
+        if message:
+            self._capture(session, resume=True)
+        if self._listed(session) != self._expected:
+            problems.append("the session differs from an undisturbed one")
+        return Run(device, fault, frame, message, tuple(problems))
+
+    def kill(self, delay_s: float, within_s: float) -> Run:
+        """Kill a capture in its own process after a while by SIGKILL; then resume and compare.
+
+        `within_s` is the time in which the world's shutter must be closed after the kill.
+        """
+        session = self._fresh("killed")
+        code = "import sys; from pathlib import Path as P; from bssrdf.rig.capture import capture; "
+        code += "capture(*map(P, sys.argv[1:]))"
+        words = [sys.executable, "-c", code, *map(str, (self._plan, self._bench.rig_file, session))]
+        process = subprocess.Popen(words, stdin=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True)
+        deadline = time.monotonic() + 30
+        while not (session / "frames.csv").exists() and process.poll() is None and time.monotonic() < deadline:
+            time.sleep(0.01)
+        time.sleep(delay_s)
+        process.send_signal(signal.SIGKILL)
+        process.wait()
+        problems = [] if self._closes(within_s) else ["the shutter is open"]
+        problems += self._lost(session)
+        files = len(list((session / "frames").glob("*"))) - len(recover_frames(session))
+        if files > 1:
+            problems.append(f"{files} frames were not journalled")
+        self._capture(session, resume=True)
+        if self._listed(session) != self._expected:
+            problems.append("the session differs from an undisturbed one")
+        return Run("host", "kill -9", 0, f"after {delay_s:.2f} s", tuple(problems))
+
+    def repair(self) -> None:
+        """Bring the bench back to what it was."""
+        self._bench.world.clear()
+        for part in ("shutter", "camera"):
+            if not self._bench.alive(part) or (part == "shutter" and not (self._bench.folder / "shutter").exists()):
+                self._bench.start(part)
+
+    def _capture(self, session: Path, *, resume: bool = False, report: Callable[[Event], None] | None = None) -> Path:
+        capture(self._plan, self._bench.rig_file, session, resume=resume, report=report)
+        return session
+
+    def _fresh(self, name: str) -> Path:
+        session = self._folder / name
+        shutil.rmtree(session, ignore_errors=True)
+        return session
+
+    def _listed(self, session: Path) -> list[tuple[str, str, float, str | None]]:
+        return [(frame.file, frame.kind, frame.exposure_s, frame.sha256) for frame in recover_frames(session)]
+
+    def _dark(self, fault: str) -> bool:
+        """No light falls, asked of the world; a blade stuck open cannot be helped where the beam has no switch."""
+        return self._closes(_SELF_CLOSE_S) or (fault == "stuck_open" and self._bench.world.status()["open"])
+
+    def _closes(self, within_s: float) -> bool:
+        deadline = time.monotonic() + within_s
+        while self._bench.world.status()["lit"]:
+            if time.monotonic() > deadline:
+                return False
+            time.sleep(0.02)
+        return True
+
+    def _lost(self, session: Path) -> list[str]:
+        """Journalled frames that are not what they were."""
+        there = {frame.file: frame.sha256 for frame in recover_frames(session)}
+        expected = {file: sha256 for file, _, _, sha256 in self._expected}
+        wrong = [file for file, sha256 in there.items() if sha256_of(session / file) != sha256]
+        wrong += [file for file, sha256 in there.items() if expected.get(file) != sha256]
+        return [f"{file} is not as it was taken" for file in wrong]
+
+
+def every_fault(seed: int = 1) -> list[tuple[str, str, int, int]]:
+    """Each switch at each frame, at a random command of it: arguments of `Campaign.disturb`."""
+    rng = random.Random(seed)
+    return [
+        (device, fault, frame, rng.randrange(_COMMANDS_A_FRAME) if device == "shutter" else 0)
+        for device, fault in FAULTS
+        for frame in range(1, N_FRAMES + 1)
+    ]
+
+
+def file_safety_ms(folder: Path, megabytes: int = 25, frames: int = 20) -> float:
+    """Median cost [ms] of syncing, renaming, hashing and journalling a frame, beyond writing its file."""
+    content = np.random.default_rng(1).bytes(megabytes * 1_000_000)
+    folder.mkdir(parents=True, exist_ok=True)
+    costs = []
+    for number in range(frames):
+        part, target = folder / f"{number}.part", folder / f"{number}.dng"
+        part.write_bytes(content)
+        start = time.perf_counter()
+        sync(part)
+        part.rename(target)
+        sync(folder)
+        append_frame(folder, Frame(target.name, "sample", 1.0, sha256=sha256_of(target)))
+        costs.append(1e3 * (time.perf_counter() - start))
+    return median(costs)
+
+
+def run_bench(folder: Path, *, kills: int = 100, seed: int = 1) -> str:
+    """The whole campaign over both controllers, and the kills; a summary, with every problem on a line of its own."""
+    lines = [f"file safety: {file_safety_ms(folder / 'files'):.0f} ms a frame of 25 MB"]
+    rng = random.Random(seed)
+    for shutter in ("sc10", "scpi"):
+        place = folder / shutter
+        place.mkdir(parents=True)
+        bench = SimulatedBench(place, small_scene(), shutter=shutter)
+        try:
+            campaign = Campaign(bench, place)
+            runs = [campaign.disturb(*arguments) for arguments in every_fault(seed)]
+            within_s = _SELF_CLOSE_S if shutter == "sc10" else 2.0
+            runs += [campaign.kill(rng.uniform(0, 2.0), within_s) for _ in range(kills // 2)]
+        finally:
+            bench.stop()
+        lines.append(f"{shutter}: {len(runs)} runs, {sum(bool(run.problems) for run in runs)} with problems")
+        lines += [f"  {run}" for run in runs if run.problems]
+    return "\n".join(lines)
+
+
+if __name__ == "__main__":
+    os.environ.setdefault("HOME", sys.argv[1])
+    print(run_bench(Path(sys.argv[1])))

@@ -1,0 +1,140 @@
+"""What `bssrdf capture`, `bssrdf rig` and `bssrdf doctor` call."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from bssrdf.errors import BssrdfError, DeviceError, UsageError
+from bssrdf.rig.capture import Captured, Report, capture
+from bssrdf.rig.devices import devices_of, ports_of
+from bssrdf.rig.locks import lock_ports
+from bssrdf.rig.plan_toml import Plan, read_plan
+from bssrdf.rig.rig_toml import Rig, read_rig
+from bssrdf.rig.steps import snapped, steps_of
+
+_DEFAULT_RIG = Path("rig.toml")
+_OVERHEAD_S = 0.5
+"""Typical time around an exposure: shutter, transfer, check."""
+
+
+def run_capture(
+    plan: Path,
+    session: Path,
+    *,
+    rig: Path | None = None,
+    resume: bool = False,
+    simulate: bool = False,
+    report: Report | None = None,
+) -> Captured:
+    """Capture a session; `rig` is rig.toml in the working folder if not given, or the simulated bench."""
+    with _bench(plan, session, rig, simulate) as rig_file:
+        return capture(plan, rig_file, session, resume=resume, report=report)
+
+
+def dry_run(plan: Path, session: Path, *, rig: Path | None = None, simulate: bool = False) -> str:
+    """What a capture would do, as text: each frame, its exposure as the camera has it, duration, bytes, disk free."""
+    with _bench(plan, session, rig, simulate) as rig_file:
+        return _outlook(read_plan(plan), read_rig(rig_file), session)
+
+
+def rig_list() -> list[str]:
+    """Serial ports and cameras that are connected, one a line."""
+    from serial.tools import list_ports
+
+    lines = [f"{port.device}: {port.description}" for port in sorted(list_ports.comports())]
+    return lines + cameras()
+
+
+def cameras() -> list[str]:
+    """Cameras that libgphoto2 sees, asked in a process of its own; none where it is not installed."""
+    import subprocess
+    import sys
+
+    words = [sys.executable, "-c", "import gphoto2; [print(f'{p}: {n}') for n, p in gphoto2.Camera.autodetect()]"]
+    try:
+        done = subprocess.run(words, capture_output=True, text=True, stdin=subprocess.DEVNULL, timeout=20)
+    except subprocess.TimeoutExpired:
+        return ["gphoto2: did not answer within 20 s; unplug the camera and plug it in again"]
+    return done.stdout.splitlines()
+
+
+def rig_status(rig: Path | None = None) -> list[str]:
+    """Each device of the bench and its state, one a line; the shutter is closed by connecting to it."""
+    described = read_rig(rig or _DEFAULT_RIG)
+    with lock_ports(ports_of(described)):
+        devices = devices_of(described)
+        try:
+            found = devices.connect()
+            lines = [f"{part}: {one.driver} {one.port} {one.version}".rstrip() for part, one in found.items()]
+            lines.append(f"shutter is {devices.shutter.state() or 'assumed closed'}")
+            return [*lines, f"if this program is killed: {_after_kill(devices.shutter.after_kill)}"]
+        finally:
+            devices.release()
+
+
+def rig_close(rig: Path | None = None) -> list[str]:
+    """Close the shutter and switch the beam off, even while another program holds the ports; what was done."""
+    devices = devices_of(read_rig(rig or _DEFAULT_RIG))
+    done, failures = [], []
+    for device, act, word in (
+        (devices.shutter, devices.shutter.close, "closed"),
+        (devices.beam, devices.beam.off, "off"),
+    ):
+        try:
+            device.connect()
+            act()
+            done.append(f"{device.name}: {word}")
+        except BssrdfError as error:
+            failures.append(str(error))
+    devices.release()
+    if failures:
+        raise DeviceError("; ".join([*done, *failures, "block the beam by hand"]))
+    return done
+
+
+@contextmanager
+def _bench(plan: Path, session: Path, rig: Path | None, simulate: bool) -> Iterator[Path]:
+    """The rig.toml to use; with `simulate` that of a bench which stands as long as the block lasts."""
+    if not simulate:
+        yield rig or _DEFAULT_RIG
+        return
+    if rig is not None:
+        raise UsageError(f"--simulate brings its own bench; leave out --rig {rig}")
+    from bssrdf.rig.sim.launch import simulated_bench
+    from bssrdf.rig.sim.samples import published_sample, white_tile
+    from bssrdf.rig.sim.scene import Scene
+
+    scene = Scene(published_sample(read_plan(plan).material.name), white_tile())
+    with simulated_bench(scene) as bench:
+        session.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copyfile(bench.scene_file, session.with_name(f"{session.name}.truth.json"))
+        yield bench.rig_file
+
+
+def _outlook(plan: Plan, rig: Rig, session: Path) -> str:
+    camera = devices_of(rig).camera
+    with lock_ports(ports_of(rig)):
+        try:
+            camera.connect()
+            offered = camera.exposures_s()
+        finally:
+            camera.release()
+    after_kill = devices_of(rig).shutter.after_kill
+    folder = next(parent for parent in (session, *session.absolute().parents) if parent.exists())
+    free_gb = shutil.disk_usage(folder).free / 1e9
+    tail = [f"disk free: {free_gb:.1f} GB", f"if this program is killed: {_after_kill(after_kill)}"]
+    if not plan.list_s:
+        return "\n".join(["exposures: chosen by metering shots when the capture begins", *tail])
+    times = snapped(plan.list_s, offered)
+    steps = steps_of(plan, dict.fromkeys(plan.kinds, times))
+    duration_s = sum(step.exposure_s + plan.settle_s + _OVERHEAD_S for step in steps)
+    size_gb = len(steps) * float(rig.camera.keys.get("frame_mb", 30.0)) / 1e3
+    lines = [f"{step.name}: {step.kind} {step.exposure_s:g} s" for step in steps]
+    return "\n".join([*lines, f"{len(steps)} frames, about {duration_s / 60:.1f} min, about {size_gb:.2f} GB", *tail])
+
+
+def _after_kill(words: str) -> str:
+    return words or "NOTHING closes the shutter; stay beside it, or use a controller with a timer or a watchdog"
