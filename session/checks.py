@@ -116,12 +116,13 @@ def checked(file: Path, where: str, raw: Mapping[str, Any], checks: Mapping[str,
 
 
 def known_keys(file: Path, where: str, given: Iterable[str], known: Iterable[str]) -> None:
-    """InputError for the first given name that is not a known one, with the nearest."""
+    """InputError for the first given name that is not a known one, with the nearest, or all where none is near."""
     names = list(known)
     for key in given:
         if key not in names:
-            near = difflib.get_close_matches(key, names, n=1, cutoff=0)
-            raise InputError(f"{file}: {where}{shown(key)[1:-1]} is not known; did you mean {near[0]}?")
+            near = difflib.get_close_matches(key, names, n=1)
+            remedy = f"did you mean {near[0]}?" if near else f"take one of {', '.join(names)}"
+            raise InputError(f"{file}: {where}{shown(key)[1:-1]} is not known; {remedy}")
 
 
 def check_format(file: Path, value: Any) -> None:
