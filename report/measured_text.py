@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bssrdf.measure.flags import MEANING
 from bssrdf.measure.session import Measured
 
 
@@ -13,5 +14,5 @@ def measured_text(measured: Measured) -> str:
             total_r, sd = measured.slice.total_r[name], measured.slice.total_r_sd[name]
             reach = f"{channel.r_mm[0]:.2g}–{channel.r_mm[-1]:.3g} mm"
             lines.append(f"{name}: R {total_r:.4f} ± {sd:.4f} as the camera saw it, {len(channel.r_mm)} radii, {reach}")
-        lines += [f"flag: {flag}" for flag in measured.slice.flags]
+        lines += [f"{flag}: {MEANING[flag]}" for flag in measured.slice.flags]
     return "\n".join(lines)

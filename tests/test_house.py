@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import re
 import subprocess
 import sys
@@ -9,6 +10,9 @@ import tomllib
 from pathlib import Path
 
 import pytest
+
+from bssrdf.fit import flags as fit_flags
+from bssrdf.measure import flags as measure_flags
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -65,3 +69,26 @@ assert dict(jax.config.values) == before
     ]
     done = subprocess.run([sys.executable, "-c", code, *names], capture_output=True, text=True, timeout=300)
     assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.parametrize(("command", "meaning"), [("measure", measure_flags.MEANING), ("fit", fit_flags.MEANING)])
+def test_flags_are_listed_with_their_meaning(command: str, meaning: dict[str, str]) -> None:
+    page = (ROOT / "docs" / "flags.md").read_text(encoding="utf-8")
+    section = page.split(f"## Raised by `bssrdf {command}`")[1].split("##")[0]
+    listed = re.findall(r"^\| `(\w+)` \| (.+) \|$", section, re.MULTILINE)
+    assert listed == sorted(meaning.items())
+
+
+def test_every_flag_that_measuring_raises_has_a_meaning() -> None:
+    """Flags are the keys of a dict `raised`, or lone words in a list or an `append`."""
+    names: set[str] = set()
+    for file in (ROOT / "measure").glob("*.py"):
+        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+            match node:
+                case ast.Assign(targets=[ast.Name(id="raised")], value=ast.Dict(keys=keys)):
+                    names |= {key.value for key in keys if isinstance(key, ast.Constant)}
+                case ast.Call(func=ast.Attribute(attr="append"), args=[ast.Constant(value=str(name))]):
+                    names.add(name)
+                case ast.IfExp(body=ast.List(elts=[ast.Constant(value=str(name))])):
+                    names.add(name)
+    assert names == set(measure_flags.MEANING)

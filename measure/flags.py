@@ -1,0 +1,18 @@
+"""Every flag a measurement can raise, with what it means; docs/flags.md lists them for the reader."""
+
+from __future__ import annotations
+
+MEANING = {
+    "drift": "Frames of the same exposure differ in brightness: lamp or camera drifted.",
+    "duplicate_frame": "Some frames are copies of others: they were merged once.",
+    "exposure_labels_off": "Exposure times found from the bracket differ from their labels: those found were used.",
+    "exposure_ratios_disagree": "The exposure ratios found from the bracket contradict each other.",
+    "gain_unknown": "The camera's gain could not be found from the frames: errors of single pixels are rough.",
+    "light_lost": "Much light fell outside the frame: its share was estimated and is uncertain.",
+    "moved": "The picture moved between exposures.",
+    "nonlinear": "The camera's response bends: longer exposures do not give proportional values.",
+    "saturated": "Pixels are saturated even in the shortest exposure: they were left out.",
+    "second_spot": "There is a second bright spot in the picture.",
+    "slice_radial_disagree": "The slice and the average over all directions differ by more than their errors.",
+    "speckle": "A laser makes speckle: the error of the total is larger than the noise says.",
+}
