@@ -12,6 +12,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -45,8 +46,8 @@ class Scene:
     def shots(self) -> list[Shot]:
         """The frames as the merge takes them."""
         return [
-            Shot(f"{number:02d}", t, lambda number=number: Sample(self.frames[number], self.darks[number], 1))
-            for number, t in enumerate(EXPOSURES_S)
+            Shot(f"{number:02d}", t, partial(Sample, frame, dark, 1))
+            for number, (frame, dark, t) in enumerate(zip(self.frames, self.darks, EXPOSURES_S, strict=True))
         ]
 
 

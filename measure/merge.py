@@ -26,7 +26,9 @@ Bits = NDArray[np.uint8]
 SATURATED, HOT, NO_DATA = 1, 2, 4
 """Bits of a mask: saturated in every exposure, hot, no usable sample."""
 
-_ROWS = 32
+_ROWS = 16
+_REACH = 2
+"""Pixels of its colour around one that tell how bright it is where it holds few electrons."""
 _READERS = 2
 _MEDIAN_ROWS = 64
 _FEW_ELECTRONS = 100.0
@@ -103,8 +105,9 @@ def merge(
         radiance, variance = signal, _poisson_variance(again, sensor, signal, seconds)
     else:
         expected = _expected_radiance(signal, seconds, sensor, period)
+        del signal, seconds
         radiance, variance = _reweighted_sum(again, sensor, expected)
-    mask = np.where(saturated, np.uint8(SATURATED | NO_DATA), np.uint8(0))
+    mask = saturated * np.uint8(SATURATED | NO_DATA)
     if hot is not None:
         mask[hot] |= HOT
     return Hdr(radiance, variance, count, mask)
@@ -128,38 +131,59 @@ def read_ahead(shots: Sequence[Shot]) -> Iterator[tuple[Shot, Sample]]:
             yield shot, sample
 
 
-def _tiles(height: int) -> Iterator[slice]:
-    return (slice(top, min(top + _ROWS, height)) for top in range(0, height, _ROWS))
-
-
 def _poisson_sum(samples: Iterator[tuple[Shot, Sample]], sensor: Sensor) -> tuple[Plane, Plane, Bits]:
     """Σ(x − d), Σt and the number of unsaturated samples, by pixel."""
     signal = seconds = count = None
-    for shot, (raw, dark, _) in samples:
+    for shot, sample in samples:
         if signal is None or seconds is None or count is None:
-            signal, seconds = np.zeros(raw.shape, np.float32), np.zeros(raw.shape, np.float32)
-            count = np.zeros(raw.shape, np.uint8)
-        for rows in _tiles(len(raw)):
-            good = raw[rows] < sensor.saturation_dn
-            signal[rows] += (raw[rows] - dark[rows].astype(np.float32)) * good
-            seconds[rows] += good * np.float32(shot.exposure_s)
+            shape = sample.raw.shape
+            signal, seconds, count = np.zeros(shape, np.float32), np.zeros(shape, np.float32), np.zeros(shape, np.uint8)
+        for rows, good, light in _usable(sample, sensor):
+            signal[rows] += light
             count[rows] += good
+            seconds[rows] += np.multiply(good, np.float32(shot.exposure_s), dtype=np.float32)
     if signal is None or seconds is None or count is None:
         raise InputError("no frame to merge; list some in frames.csv")
     return signal, seconds, count
 
 
+def _usable(sample: Sample, sensor: Sensor) -> Iterator[tuple[slice, NDArray[np.bool_], Plane]]:
+    """By tile: its rows, which of its samples are not saturated, and x − d [DN], 0 where saturated.
+
+    The arrays are overwritten by the next tile.
+    """
+    raw, dark = sample.raw, sample.dark
+    saturation = sensor.saturation_dn
+    if np.issubdtype(raw.dtype, np.integer):
+        saturation = raw.dtype.type(min(np.ceil(saturation), np.iinfo(raw.dtype).max))
+    light = np.empty((_ROWS, *raw.shape[1:]), np.float32)
+    good = np.empty(light.shape, bool)
+    for top in range(0, len(raw), _ROWS):
+        rows = slice(top, min(top + _ROWS, len(raw)))
+        n = rows.stop - top
+        np.less(raw[rows], saturation, out=good[:n])
+        np.subtract(raw[rows], dark[rows], out=light[:n], dtype=np.float32, casting="same_kind")
+        light[:n] *= good[:n]
+        yield rows, good[:n], light[:n]
+
+
 def _reweighted_sum(samples: Iterator[tuple[Shot, Sample]], sensor: Sensor, expected: Plane) -> tuple[Plane, Plane]:
     """Inverse-variance mean of (x − d)/t and its variance, where the variance is that of `expected` [DN/s]."""
     weighted, weight = np.zeros_like(expected), np.zeros_like(expected)
+    w = np.empty((_ROWS, *expected.shape[1:]), np.float32)
     for shot, sample in samples:
         t = np.float32(shot.exposure_s)
         shot_noise, darkness = t / np.float32(sensor.gain_e_per_dn), _darkness_variance(sample, sensor)
-        for rows in _tiles(len(sample.raw)):
-            good = sample.raw[rows] < sensor.saturation_dn
-            w = good * t / (expected[rows] * shot_noise + darkness)
-            weighted[rows] += w * (sample.raw[rows] - sample.dark[rows].astype(np.float32))
-            weight[rows] += w * t
+        for rows, good, light in _usable(sample, sensor):
+            tile = w[: len(good)]
+            np.multiply(expected[rows], shot_noise, out=tile)
+            tile += darkness
+            np.divide(t, tile, out=tile)
+            light *= tile
+            weighted[rows] += light
+            tile *= good
+            tile *= t
+            weight[rows] += tile
     with np.errstate(divide="ignore", invalid="ignore"):
         weighted /= weight
         np.divide(1, weight, out=weight)
@@ -170,12 +194,12 @@ def _reweighted_sum(samples: Iterator[tuple[Shot, Sample]], sensor: Sensor, expe
 def _poisson_variance(samples: Iterator[tuple[Shot, Sample]], sensor: Sensor, radiance: Plane, seconds: Plane) -> Plane:
     """Variance of the Poisson sum of `seconds` Σt, each sample's being that of `radiance` [DN/s]."""
     variance = np.zeros_like(radiance)
+    expected = np.maximum(np.nan_to_num(radiance), 0)
     for shot, sample in samples:
         shot_noise = np.float32(shot.exposure_s / sensor.gain_e_per_dn)
         darkness = _darkness_variance(sample, sensor)
-        for rows in _tiles(len(sample.raw)):
-            good = sample.raw[rows] < sensor.saturation_dn
-            variance[rows] += good * (np.maximum(radiance[rows], 0) * shot_noise + darkness)
+        for rows, good, _ in _usable(sample, sensor):
+            variance[rows] += good * (expected[rows] * shot_noise + darkness)
     with np.errstate(divide="ignore", invalid="ignore"):
         variance /= seconds**2
     return variance
@@ -200,8 +224,17 @@ def _expected_radiance(radiance: Plane, seconds: Plane, sensor: Sensor, period: 
     for row in range(period):
         for column in range(period):
             phase = (slice(row, None, period), slice(column, None, period))
-            lit = radiance[phase]
-            few = lit * seconds[phase] * np.float32(sensor.gain_e_per_dn) < _FEW_ELECTRONS
-            mean = cv2.blur(np.nan_to_num(lit), (5, 5), borderType=cv2.BORDER_REFLECT_101)
-            seconds[phase] = np.maximum(np.where(few, mean, lit), 0)
+            _smooth_where_dark(radiance[phase], seconds[phase], np.float32(sensor.gain_e_per_dn))
     return seconds
+
+
+def _smooth_where_dark(radiance: Plane, seconds: Plane, gain: np.float32) -> None:
+    """Replace `seconds` by the expected radiance, for pixels of one colour, by tiles of rows."""
+    for top in range(0, len(radiance), _ROWS):
+        bottom = min(top + _ROWS, len(radiance))
+        above, below = max(top - _REACH, 0), min(bottom + _REACH, len(radiance))
+        size = (2 * _REACH + 1, 2 * _REACH + 1)
+        around = cv2.blur(np.nan_to_num(radiance[above:below]), size, borderType=cv2.BORDER_REPLICATE)
+        lit = radiance[top:bottom]
+        few = lit * seconds[top:bottom] * gain < _FEW_ELECTRONS
+        seconds[top:bottom] = np.maximum(np.where(few, around[top - above : bottom - above], lit), 0)
