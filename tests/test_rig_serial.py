@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 import serial
+
 from bssrdf.errors import DeviceError
 from bssrdf.rig.sc10 import Sc10Shutter
 from bssrdf.rig.scpi import ScpiBeam, ScpiController, ScpiShutter
@@ -123,7 +124,7 @@ def test_sc10_toggles_again_only_when_the_state_shows_that_the_command_was_lost(
 def test_sc10_names_a_tripped_interlock() -> None:
     asked: Script = [echo(b"ens?", b"0"), echo(b"ens")]
     wire, shutter = sc10([echo(b"open=1000"), *asked * 3, echo(b"ens?", b"0"), echo(b"interlock?", b"1")])
-    with pytest.raises(DeviceError, match="sc10 on /dev/ttyUSB0: does not open .the interlock is tripped"):
+    with pytest.raises(DeviceError, match=r"sc10 on /dev/ttyUSB0: does not open .the interlock is tripped"):
         shutter.open_for(1.0)
     assert not wire.script
 
@@ -187,7 +188,7 @@ def test_uniblitz_sends_single_bytes_and_claims_no_state() -> None:
 
 def test_uniblitz_names_itself_when_unplugged() -> None:
     _, open_port = scripted([(b"A", OSError(5, "Input/output error"))])
-    with pytest.raises(DeviceError, match="uniblitz on /dev/ttyS0: b'A' could not be sent .Input/output error"):
+    with pytest.raises(DeviceError, match=r"uniblitz on /dev/ttyS0: b'A' could not be sent .Input/output error"):
         UniblitzShutter("/dev/ttyS0", open_port=open_port).connect()
 
 
@@ -250,14 +251,14 @@ def test_scpi_repeats_a_verb_that_was_not_understood() -> None:
 def test_scpi_passes_on_a_refusal_that_stays() -> None:
     refused: Script = [(b"SHUT:PULS 1000000\n", b""), (b"SYST:ERR?\n", b'-200,"Interlock"\n')]
     wire, _, shutter = scpi(refused * 3)
-    with pytest.raises(DeviceError, match="scpi on /dev/ttyACM0: 'SHUT:PULS 1000000' was refused with .*Interlock"):
+    with pytest.raises(DeviceError, match=r"scpi on /dev/ttyACM0: 'SHUT:PULS 1000000' was refused with .*Interlock"):
         shutter.open_for(1.0)
     assert not wire.script
 
 
 def test_scpi_names_a_tripped_interlock_when_the_shutter_stays_closed() -> None:
     wire, _, shutter = scpi(ok(b"SHUT:PULS 1000000") + CLOSED + [(b"SYST:INT?\n", b"1\n")])
-    with pytest.raises(DeviceError, match="does not open .the interlock is tripped"):
+    with pytest.raises(DeviceError, match=r"does not open .the interlock is tripped"):
         shutter.open_for(1.0)
     assert not wire.script
 
