@@ -52,6 +52,60 @@ def init(session: Path, force: bool) -> None:
     click.echo(f"{session / 'session.toml'}: fill it in, put frames into frames/ and list them in frames.csv")
 
 
+RIG_FILE = click.option("--rig", type=FILE, help="What the bench is made of; rig.toml here if not given.")
+
+
+@cli.group()
+def rig() -> None:
+    """What is connected, and the panic button."""
+
+
+@rig.command("list")
+def rig_list() -> None:
+    """Serial ports and cameras that are connected."""
+    from bssrdf.rig import commands
+
+    click.echo("\n".join(commands.rig_list()) or "no serial port and no camera is connected")
+
+
+@rig.command("status")
+@RIG_FILE
+def rig_status(rig: Path | None) -> None:
+    """Each device of the bench and its state."""
+    from bssrdf.rig import commands
+
+    click.echo("\n".join(commands.rig_status(rig)))
+
+
+@rig.command("close")
+@RIG_FILE
+def rig_close(rig: Path | None) -> None:
+    """Close the shutter and switch the beam off, even while another program holds the ports."""
+    from bssrdf.rig import commands
+
+    click.echo("\n".join(commands.rig_close(rig)))
+
+
+@cli.command()
+@click.argument("plan", type=FILE)
+@click.option("--out", type=FOLDER, required=True, metavar="SESSION", help="The session to make.")
+@RIG_FILE
+@click.option("--simulate", is_flag=True, help="Use a simulated bench.")
+@click.option("--resume", is_flag=True, help="Go on with a capture that was stopped.")
+@click.option("--dry-run", is_flag=True, help="Only say which frames would be taken.")
+def capture(plan: Path, out: Path, rig: Path | None, simulate: bool, resume: bool, dry_run: bool) -> None:
+    """Capture what PLAN asks for into a session."""
+    from bssrdf.rig import commands
+    from bssrdf.rig.progress import live
+
+    if dry_run:
+        click.echo(commands.dry_run(plan, out, rig=rig, simulate=simulate))
+        return
+    with live(quiet=is_quiet()) as report:
+        done = commands.run_capture(plan, out, rig=rig, simulate=simulate, resume=resume, report=report)
+    click.echo(f"{out}: {done.frames} frames, {done.taken_now} of them taken now")
+
+
 @cli.command()
 @click.argument("folder", type=FOLDER)
 @click.option("--out", type=FOLDER, required=True, metavar="SESSION", help="The session to make.")
@@ -94,7 +148,9 @@ def verify(session: Path) -> None:
 @click.argument("session", type=FOLDER)
 @click.option("--hdr-only", is_flag=True, help="Only merge the brackets; session.toml needs [camera] alone.")
 @click.option("--radial", is_flag=True, help="Average over the whole image instead of a band along the slice.")
-def measure(session: Path, hdr_only: bool, radial: bool) -> None:
+@click.option("--band-mm", type=float, help="Width of the band along the slice.")
+@click.option("--glare", is_flag=True, help="Take an even floor for veiling glare, and subtract it.")
+def measure(session: Path, **options: Any) -> None:
     """Merge the brackets of SESSION; write HDR images, the slice and the total reflectance into measured/."""
     from bssrdf.measure.session import measure_session
     from bssrdf.report.measured_text import measured_text
@@ -102,7 +158,7 @@ def measure(session: Path, hdr_only: bool, radial: bool) -> None:
     from bssrdf.session.session_toml import read_session
 
     with steps(quiet=is_quiet()) as progress:
-        measured = measure_session(read_session(session), hdr_only=hdr_only, radial=radial, progress=progress)
+        measured = measure_session(read_session(session), progress=progress, **options)
     click.echo(measured_text(measured))
 
 
@@ -227,6 +283,25 @@ def demo(out: Path, force: bool) -> None:
     with stages("demo", quiet=is_quiet()) as progress:
         text = run_demo(folder, progress=progress)
     click.echo(text)
+
+
+@cli.group()
+def bench() -> None:
+    """Speed against error, beside other tools that are installed."""
+
+
+@bench.command("hdr")
+@click.option("--out", type=FOLDER, help="Folder for hdr.json and hdr.png.")
+@_force
+def bench_hdr(out: Path | None, force: bool) -> None:
+    """Merge one bracket by every method there is."""
+    from bssrdf.bench.hdr import run_hdr_bench, table
+    from bssrdf.report.progress import steps
+
+    folder = out and _fresh(out, force)
+    with steps(quiet=is_quiet()) as progress:
+        scores = run_hdr_bench(out=folder, progress=progress)
+    click.echo(table(scores))
 
 
 if __name__ == "__main__":
