@@ -15,17 +15,21 @@ from bssrdf.transport.single import first_order_rd, first_order_total
 from bssrdf.transport.table_grid import (
     N_U_CELLS,
     N_V_CELLS,
+    N_W_CELLS,
     R_MAX,
     R_ZERO,
+    RHO_ZERO,
     V_MAX,
+    W_MAX,
     albedo_of,
     basis,
+    by_cell,
     interpolating,
     kappa_reduced,
     log_decay,
     q_nodes,
 )
-from bssrdf.transport.table_model import N_W_CELLS, RHO_ZERO, W_MAX, TableModel
+from bssrdf.transport.table_model import TableModel
 
 Floats = NDArray[np.float64]
 
@@ -51,13 +55,13 @@ def assemble(eta: float, g: float, log_curve: Floats, log_curve_sd: Floats, angl
     scale = np.log((total - albedo * first_total) / integral)
     shapes = np.array([_exit_shape(eta, space.radiance / space.total) for space in exact])
     arrays: dict[str, Any] = {
-        "log_curve": log_curve + interpolating(scale, even=True)[:, None],
+        "log_curve": by_cell(log_curve + interpolating(scale, even=True)[:, None]),
         "log_curve_sd": log_curve_sd,
-        "diffusion_ratio": interpolating(_diffusion_ratio(kappa, q)),
-        "log_total": interpolating(-np.log(total / ((1 - q) * (1 + q)))),
-        "first": interpolating(first),
-        "angles": angles,
-        "total_angles": interpolating(np.concatenate([_at_conservative(shapes, q), shapes])),
+        "diffusion_ratio": by_cell(interpolating(_diffusion_ratio(kappa, q))),
+        "log_total": by_cell(interpolating(-np.log(total / ((1 - q) * (1 + q))))),
+        "first": by_cell(interpolating(first)),
+        "angles": by_cell(np.swapaxes(angles, 1, 2)),
+        "total_angles": by_cell(interpolating(np.concatenate([_at_conservative(shapes, q), shapes])).T),
     }
     return TableModel(eta=eta, g=g, first_decay=first_decay, **arrays)
 
@@ -73,14 +77,10 @@ def _at_conservative(values: Floats, q: Floats) -> Floats:
 
 
 def _first_order(eta: float, g: float, decay: float) -> Floats:
-    """ln(ρ R⁽¹⁾/(σs σt)) + decay ρ at the knots in ρ; the exponential taken out where R⁽¹⁾ itself underflows."""
+    """ln(ρ R⁽¹⁾/(σs σt)) + decay ρ at the knots in ρ."""
     rho = RHO_ZERO * np.expm1(np.linspace(0, W_MAX, N_W_CELLS + 1))
     rho[0] = 1e-9
-    value = np.asarray(first_order_rd(1.0, 0.0, g, eta, jnp.minimum(rho, 100.0)))
-    logs = np.log(value * np.minimum(rho, 100.0)) + decay * np.minimum(rho, 100.0)
-    near = rho < 100.0
-    slope = (logs[near][-1] - logs[near][-8]) / (np.log(rho[near][-1]) - np.log(rho[near][-8]))
-    return np.where(near, logs, logs[near][-1] + slope * (np.log(rho) - np.log(rho[near][-1])))
+    return np.asarray(np.log(np.asarray(first_order_rd(1.0, 0.0, g, eta, jnp.asarray(rho))) * rho) + decay * rho)
 
 
 def _integral(log_curve: Floats, kappa: Floats) -> Floats:

@@ -34,6 +34,11 @@ N_U_CELLS = N_Q - 1
 N_V_CELLS = 46
 N_U_COARSE = 8
 N_V_COARSE = 10
+RHO_ZERO = 0.02
+RHO_MAX = 100.0
+"""[1/σt] Light scattered once is tabulated over ln(1 + ρ/RHO_ZERO); beyond, it is below e^−200 of all."""
+W_MAX = float(np.log1p(RHO_MAX / RHO_ZERO))
+N_W_CELLS = 96
 
 
 def q_nodes() -> Floats:
@@ -87,3 +92,9 @@ def interpolating(values: Floats, *, even: bool = False) -> Floats:
     if even:
         coefficients[0] = coefficients[2]
     return coefficients
+
+
+def by_cell(coefficients: Floats) -> Floats:
+    """The same spline along the last axis as a cubic in each cell: (…, n + 3) to (…, 4 powers, n)."""
+    a, b, c, d = (coefficients[..., k : coefficients.shape[-1] - 3 + k] for k in range(4))
+    return np.stack([(a + 4 * b + c) / 6, (c - a) / 2, (a - 2 * b + c) / 2, (d - 3 * c + 3 * b - a) / 6], axis=-2)

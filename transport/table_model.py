@@ -21,21 +21,16 @@ from bssrdf.transport.precision import Real
 from bssrdf.transport.table_grid import (
     N_U_CELLS,
     N_U_COARSE,
-    N_V_CELLS,
-    N_V_COARSE,
     Q_MAX,
     Q_ZERO,
     R_MAX,
     R_ZERO,
+    RHO_ZERO,
     U_MAX,
     V_MAX,
+    W_MAX,
 )
 
-RHO_ZERO = 0.02
-RHO_MAX = 2000.0
-"""[1/σt] light scattered once is tabulated over ln(1 + ρ/RHO_ZERO)."""
-W_MAX = float(np.log1p(RHO_MAX / RHO_ZERO))
-N_W_CELLS = 120
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(12)
 
 
@@ -44,20 +39,20 @@ class TableModel(NamedTuple):
 
     eta: Real
     g: Real
-    log_curve: Float[Array, "u v"]
-    """S of `table_fit`."""
+    log_curve: Float[Array, "u 4 v"]
+    """S of `table_fit`: along u splines' coefficients, along v cubics by cell."""
     log_curve_sd: Float[Array, "q v"]
     """Its standard error at the knots: relative error of the light scattered twice or more."""
-    diffusion_ratio: Float[Array, " u"]
+    diffusion_ratio: Float[Array, "4 u"]
     """κ²/(3 σa σt′): 1 at albedo 1."""
-    log_total: Float[Array, " u"]
+    log_total: Float[Array, "4 u"]
     """−ln(R/α′)."""
-    first: Float[Array, " w"]
-    """ln(ρ R⁽¹⁾/(σs σt)) + first_decay ρ."""
+    first: Float[Array, "4 w"]
+    """ln(ρ R⁽¹⁾/(σs σt)) + first_decay ρ along ln(1 + ρ/RHO_ZERO), ρ = σt r."""
     first_decay: Real
-    angles: Float[Array, "u v k"]
+    angles: Float[Array, "u k 4 v"]
     """Shape of the exit radiance of the curve, see `exit_radiance`."""
-    total_angles: Float[Array, "u k"]
+    total_angles: Float[Array, "k 4 u"]
     """The same of the total."""
 
     @property
@@ -80,35 +75,31 @@ class TableModel(NamedTuple):
     def bin_average(self, medium: Medium, r_lo: Real, r_hi: Real) -> Float[Array, "..."]:
         """Mean of R_d over the annulus [r_lo, r_hi], weighted by r dr."""
         self.check(medium, r_hi)
-        unit = R_ZERO / medium.sigma_tp
-        v_lo, v_hi = jnp.log1p(r_lo / unit), jnp.log1p(r_hi / unit)
-        total = area = jnp.zeros(())
-        for node, weight in zip((1 + _NODES) / 2, _WEIGHTS, strict=True):
-            r = unit * jnp.expm1(v_lo + (v_hi - v_lo) * node)
-            ring = weight * r * (r + unit)
-            total += ring * (self._first(medium, r) + self._multiple(medium, r))
-            area += ring
-        return total / area
+        at_nodes = Medium(*(jnp.asarray(field)[..., None] for field in medium))
+        unit = R_ZERO / at_nodes.sigma_tp
+        v_lo, v_hi = (jnp.log1p(jnp.asarray(r)[..., None] / unit) for r in (r_lo, r_hi))
+        r = unit * jnp.expm1(v_lo + (v_hi - v_lo) * ((1 + _NODES) / 2).astype(v_lo.dtype))
+        ring = _WEIGHTS.astype(v_lo.dtype) * r * (r + unit)
+        light = self._first(at_nodes, r) + self._multiple(at_nodes, r)
+        return (ring * light).sum(axis=-1) / ring.sum(axis=-1)
 
     def total(self, medium: Medium) -> Float[Array, "..."]:
         """Total diffuse reflectance."""
         self.check(medium, 0.0)
-        return medium.albedo_p * jnp.exp(-_spline(self.log_total, _u(medium), N_U_CELLS))
+        return medium.albedo_p * jnp.exp(-_cubic(self.log_total, _u(medium)))
 
     def radiance_factor(self, medium: Medium, r: Real, mu: Real) -> Float[Array, "..."]:
         """π L/R_d at radius r towards the outside cosine `mu`: 1 for a Lambertian surface."""
         self.check(medium, r)
-        rows = _rows(self.angles.reshape(self.angles.shape[0], -1), _u(medium), N_U_COARSE)
-        by_power = rows.reshape(rows.shape[:-1] + self.angles.shape[1:])
-        v = _v(medium, r)
-        shape = [_spline(by_power[..., k], v, N_V_COARSE) for k in range(DEGREE + 1)]
-        return _exit_lobe(self.eta, mu, shape)
+        rows = _rows(self.angles, _u(medium), N_U_COARSE)
+        v = jnp.minimum(jnp.log1p(r * medium.sigma_tp / R_ZERO) / V_MAX, 1)
+        return _exit_lobe(self.eta, mu, [_cubic(rows[..., k, :, :], v) for k in range(DEGREE + 1)])
 
     def total_radiance_factor(self, medium: Medium, mu: Real) -> Float[Array, "..."]:
         """π L/R over the whole surface towards the outside cosine `mu`: 1 for a Lambertian surface."""
         self.check(medium, 0.0)
         u = _u(medium)
-        return _exit_lobe(self.eta, mu, [_spline(self.total_angles[:, k], u, N_U_CELLS) for k in range(DEGREE + 1)])
+        return _exit_lobe(self.eta, mu, [_cubic(self.total_angles[k], u) for k in range(DEGREE + 1)])
 
     def check(self, medium: Medium, r: Real) -> None:
         """Raise InputError where medium or radius, if known outside a compiled function, lie outside the table."""
@@ -134,15 +125,16 @@ class TableModel(NamedTuple):
         sigma_t = sigma_s + medium.sigma_a
         rho = sigma_t * r
         w = jnp.log1p(rho / RHO_ZERO) / W_MAX
-        return sigma_s / r * jnp.exp(_spline(self.first, w, N_W_CELLS) - self.first_decay * rho)
+        return sigma_s / r * jnp.exp(_cubic(self.first, jnp.minimum(w, 1)) - self.first_decay * rho)
 
     def _multiple(self, medium: Medium, r: Real) -> Float[Array, "..."]:
         u = _u(medium)
         x = medium.sigma_tp * r
         ratio = medium.sigma_a / medium.sigma_tp
-        kappa2 = 3 * ratio * _spline(self.diffusion_ratio, u, N_U_CELLS)
-        smooth = _spline(_rows(self.log_curve, u, N_U_CELLS), _v(medium, r), N_V_CELLS)
-        beyond = 3 * jnp.log(jnp.maximum(x, R_MAX) / R_MAX)
+        kappa2 = 3 * ratio * _cubic(self.diffusion_ratio, u)
+        v = jnp.log1p(x / R_ZERO) / V_MAX
+        smooth = _cubic(_rows(self.log_curve, u, N_U_CELLS), jnp.minimum(v, 1))
+        beyond = 3 * V_MAX * jnp.maximum(v - 1, 0)  # diffusing light goes on as the cube of the radius
         return jnp.square(medium.sigma_sp) * jnp.exp(smooth - beyond) * _decay(kappa2 * x * x)
 
 
@@ -153,36 +145,25 @@ def _u(medium: Medium) -> Float[Array, "..."]:
     return (jnp.log1p(q / Q_ZERO) + jnp.log(medium.sigma_tp / medium.sigma_sp) / 2) / U_MAX
 
 
-def _v(medium: Medium, r: Real) -> Float[Array, "..."]:
-    """v/V_MAX of the radius, at most 1."""
-    return jnp.minimum(jnp.log1p(r * medium.sigma_tp / R_ZERO) / V_MAX, 1)
-
-
-def _cell(t: Float[Array, "..."], n_cells: int) -> tuple[Float[Array, "..."], tuple[Float[Array, "..."], ...]]:
-    """First coefficient, and the weights of the four, of a cubic B-spline at t in [0, 1]."""
-    position = t * n_cells
-    first = jnp.clip(jnp.floor(position), 0, n_cells - 1)
-    f = position - first
+def _rows(coefficients: Float[Array, "u ..."], t: Float[Array, "..."], n_cells: int) -> Float[Array, "..."]:
+    """What a table holds along its further axes, at t in [0, 1] along its first."""
+    first = jnp.clip((t * n_cells).astype(jnp.int32), 0, n_cells - 1)
+    f = jnp.expand_dims(t * n_cells - first, tuple(range(t.ndim, t.ndim + coefficients.ndim - 1)))
     e = 1 - f
     weights = (e**3 / 6, 2 / 3 - f * f * (1 - f / 2), 2 / 3 - e * e * (1 - e / 2), f**3 / 6)
-    return first.astype(jnp.int32), weights
-
-
-def _rows(coefficients: Float[Array, "u n"], t: Float[Array, "..."], n_cells: int) -> Float[Array, "... n"]:
-    """A table's coefficients along its second axis, at t along its first."""
-    first, weights = _cell(t, n_cells)
-    a, b, c, d = (jnp.asarray(weights[k])[..., None] * coefficients[first + k] for k in range(4))
+    a, b, c, d = (weight * jnp.asarray(coefficients)[first + k] for k, weight in enumerate(weights))
     return a + b + c + d
 
 
-def _spline(coefficients: Float[Array, "... n"], t: Float[Array, "..."], n_cells: int) -> Float[Array, "..."]:
-    """Spline at t; coefficients may vary over leading axes, which broadcast against t."""
-    first, weights = _cell(jnp.asarray(t), n_cells)
-    lead, n = coefficients.shape[:-1], coefficients.shape[-1]
-    start = n * jnp.arange(np.prod(lead, dtype=int), dtype=jnp.int32).reshape(lead) + first
-    flat = coefficients.reshape(-1)
-    a, b, c, d = (weights[k] * flat[start + k] for k in range(4))
-    return a + b + c + d
+def _cubic(cells: Float[Array, "... 4 n"], t: Float[Array, "..."]) -> Float[Array, "..."]:
+    """Piecewise cubic at t in [0, 1]; leading axes of the cells broadcast against t."""
+    lead, n = cells.shape[:-2], cells.shape[-1]
+    cell = jnp.clip((t * n).astype(jnp.int32), 0, n - 1)
+    f = t * n - cell
+    start = 4 * n * jnp.arange(np.prod(lead, dtype=int), dtype=jnp.int32).reshape(lead) + cell
+    flat = jnp.asarray(cells).reshape(-1)
+    a, b, c, d = (flat.at[start + k * n].get(mode="promise_in_bounds") for k in range(4))
+    return ((d * f + c) * f + b) * f + a
 
 
 def _exit_lobe(eta: Real, mu: Real, shape: list[Float[Array, "..."]]) -> Float[Array, "..."]:
