@@ -14,6 +14,8 @@ from jaxtyping import Array, Float, Int
 from bssrdf.session.records import ChannelSlice, Slice
 from bssrdf.transport.convention import camera_factor
 
+RADII_FROM_SPOT = 1.5
+"""In 1/e² radii of the spot: from here on the spot's blur is a correction and not the signal itself."""
 BUCKETS = (64, 256, 1024, 4096, 16384)
 
 
@@ -31,6 +33,8 @@ class Curves(NamedTuple):
     total_r_sd: Float[Array, " b"]
     window: Float[Array, "b 2"]
     """Radii that may be used at all [mm]."""
+    spot_radius: Float[Array, " b"]
+    """1/e² radius of the spot [mm]; 0 where it is not known."""
     n: Int[Array, " b"]
 
 
@@ -87,9 +91,15 @@ def _row(
         "weight": _pad(_common_unknown(weight)[order], width, 0.0),
         "total_r": np.asarray(piece.total_r.get(name, np.nan) / factor),
         "total_r_sd": np.asarray(piece.total_r_sd.get(name, np.nan) / factor),
-        "window": np.asarray(window_mm if window_mm else (0.0, np.inf)),
+        "window": np.asarray(_window(piece, window_mm)),
+        "spot_radius": np.asarray(piece.spot_radius_mm or 0.0),
         "n": np.asarray(n),
     }
+
+
+def _window(piece: Slice, window_mm: tuple[float, float] | None) -> tuple[float, float]:
+    lo, hi = window_mm or (0.0, np.inf)
+    return max(lo, RADII_FROM_SPOT * (piece.spot_radius_mm or 0.0)), hi
 
 
 def _common_unknown(weight: np.ndarray) -> np.ndarray:

@@ -4,13 +4,20 @@ from __future__ import annotations
 
 MEANING = {
     "albedo_one": "R is 1 within its error: σa is an upper bound.",
+    "dipole_unchecked": "No Monte Carlo table ships for this η and g: the dipole's model error is not known.",
     "few_radii": "Fewer than 5 radii lie in the window: nothing was fitted.",
+    "g_assumed": "The slice does not say g: 0 was taken. R and σa depend on it (see sensitivity).",
+    "g_suspect": "The curve fits another g much better than the one given.",
     "noise": "The curve does not determine σs′ to within a factor: nothing was identified.",
     "not_converged": "The search did not come to rest.",
     "poor_fit": "The curve departs from the model by more than its errors allow (χ² or runs of one sign).",
+    "robust": "Fitted by Huber's loss: radii far off count less.",
+    "scale_free": "Fitted with an unknown factor on the curve.",
+    "scale_suspect": "The light under the curve is far from R: are the radii in mm and the values in 1/mm²?",
     "sd_unknown": "The curve came without errors: they were taken as equal relative ones, from its own scatter.",
     "single_scattering": "Single scattering dominates (α′ < 0.5): the dipole does not hold.",
     "total_at_limit": "R lies beyond what the model can reach.",
+    "total_inconsistent": "R and the curve contradict each other.",
     "total_unknown": "R was not measured: the fit is free and badly conditioned.",
     "window_short": "The curve ends before 1/σtr: σa rests on R alone.",
 }

@@ -42,7 +42,7 @@ def profile(task: Task, model: ForwardModel, data: Curves, solution: Solution, i
 
         def linearise(free: Float[Array, " p"]) -> tuple[Float[Array, " m"], Float[Array, "p m"]]:
             scale = free[1] if task.scale_free else solution.point.log_scale
-            there = residual(task, model, data, solution.weight, Parameters(free[0], q, scale))
+            there = residual(task, model, data, solution._replace(point=Parameters(free[0], q, scale)))
             others = [row for row in range(there.by_free.shape[0]) if row != 1]
             return there.value, there.by_free[jnp.asarray(others)]
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
@@ -20,6 +20,22 @@ POOR_CHI2 = 3.0
 POOR_RUNS = 4.0
 VAGUE = 0.5
 """Relative sd of σs′ beyond which nothing was identified."""
+
+
+FAR_OFF = 4.0
+"""Standard deviations between the measured R and the fitted one."""
+LEAST_LIGHT = 1e-4
+"""Of R; the light beyond the innermost radii of an opaque material may be this little."""
+MOST_LIGHT = 2.0
+
+
+class Setting(Protocol):
+    """What a batch's results need to know of how it was fitted."""
+
+    @property
+    def task(self) -> Task: ...
+    @property
+    def model(self) -> str: ...
 
 
 class Job(NamedTuple):
@@ -43,16 +59,22 @@ def needs_profile(task: Task, judged: Judged) -> bool:
     return not q > PARABOLIC * float(judged.q_sd)
 
 
-def channel_fit(task: Task, job: Job, judged: Judged, profile: Profile | None) -> ChannelFit:
+def channel_fit(
+    setting: Setting,
+    job: Job,
+    judged: Judged,
+    profile: Profile | None,
+    model_error: dict[str, float],
+    sensitivity: dict[str, float],
+) -> ChannelFit:
     """What is reported of one channel."""
-    flags = _flags(task, job, judged, profile)
-    window_mm = _window(job, judged)
-    inside = int(judged.solution.counts.sum())
+    task = setting.task
+    flags = _flags(setting, job, judged, profile, model_error)
     sigma_a = float(judged.sigma_a if profile is None else profile.sigma_a)
     sigma_sp = float(judged.sigma_sp if profile is None else profile.sigma_sp)
     interval = _linear_interval(judged) if profile is None else (float(profile.lower), float(profile.upper))
     return ChannelFit(
-        model="dipole",
+        model=setting.model,
         sigma_a_per_mm=sigma_a,
         sigma_a_sd_per_mm=float(judged.sigma_a_sd) if profile is None else (interval[1] - interval[0]) / (2 * Z95),
         sigma_a_interval95_per_mm=interval,
@@ -62,11 +84,13 @@ def channel_fit(task: Task, job: Job, judged: Judged, profile: Profile | None) -
         correlation=float(judged.correlation),
         total_r_measured=job.piece.total_r.get(job.channel, float("nan")),
         total_r_model=float(judged.total_r),
-        window_mm=window_mm,
-        n=inside,
+        window_mm=_window(job, judged),
+        n=int(judged.solution.counts.sum()),
         chi2_reduced=float(judged.chi2) if task.errors_known else float("nan"),
         status=_status(flags),
         flags=tuple(flags),
+        model_error=model_error,
+        sensitivity=sensitivity,
     )
 
 
@@ -106,23 +130,41 @@ def _status(flags: list[str]) -> Status:
     return "upper_bound" if {"albedo_one", "total_at_limit"} & set(flags) else "converged"
 
 
-def _flags(task: Task, job: Job, judged: Judged, profile: Profile | None) -> list[str]:
+def _flags(
+    setting: Setting, job: Job, judged: Judged, profile: Profile | None, model_error: dict[str, float]
+) -> list[str]:
     """The names from `flags.MEANING` that hold for this fit."""
-    point = judged.solution.point
+    task, point = setting.task, judged.solution.point
     sigma_tr = max(float(point.q), 0.0) * float(np.exp(point.log_sigma_tp))
     total_r = job.piece.total_r.get(job.channel, np.nan) / factor_of(job.piece)
     lower = _linear_interval(judged)[0] if profile is None else float(profile.lower)
     relative = float(judged.sigma_sp_sd / judged.sigma_sp)
+    dipole = setting.model == "dipole"
     held: Mapping[str, bool] = {
         "albedo_one": lower <= 0,
+        "dipole_unchecked": dipole and not model_error,
         "few_radii": int(judged.solution.counts.sum()) < FEWEST,
+        "g_assumed": job.piece.g is None and not dipole,
         "noise": not relative < VAGUE,
         "not_converged": not bool(judged.solution.converged),
         "poor_fit": task.errors_known and (float(judged.chi2) > POOR_CHI2 or float(judged.runs_z) > POOR_RUNS),
+        "robust": task.robust,
+        "scale_free": task.scale_free,
+        "scale_suspect": not task.scale_free and not _within_reason(job, total_r),
         "sd_unknown": not task.errors_known,
-        "single_scattering": float(point.q) > np.sqrt(1.5),
+        "single_scattering": dipole and float(point.q) > np.sqrt(1.5),
         "total_at_limit": task.constraint != "none" and total_r >= 1,
+        "total_inconsistent": abs(float(judged.total_pull)) > FAR_OFF,
         "total_unknown": job.channel not in job.piece.total_r,
         "window_short": _window(job, judged)[1] * sigma_tr < 1,
     }
     return [name for name, holds in held.items() if holds]
+
+
+def _within_reason(job: Job, total_r: float) -> bool:
+    """Whether the light under the curve is of the order of R: radii or values in another unit are off by far more."""
+    channel = job.piece.channels[job.channel]
+    order = np.argsort(channel.r_mm, kind="stable")
+    r_mm, rd = channel.r_mm[order], channel.rd_per_mm2[order] / factor_of(job.piece)
+    light = float(np.trapezoid(2 * np.pi * r_mm * rd, r_mm))
+    return LEAST_LIGHT * (total_r if total_r > 0 else 0.0) <= light <= MOST_LIGHT

@@ -1,0 +1,92 @@
+"""What a fit cannot know from its own curve: how far the model is off, and what a wrong g or η would do."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from bssrdf.fit.batch import Fitted, run_padded
+from bssrdf.fit.choose import ASSUMED_G, model_of, tabulated
+from bssrdf.fit.compare import Refit, bias_batch, refit_batch
+from bssrdf.transport.forward import ForwardModel
+
+G_STEP = 0.05
+ETA_STEP = 0.01
+NOISE_DRAWS = 4
+NOISE_SEED = 1
+
+Errors = list[dict[str, float]]
+
+
+def model_errors(fitted: Fitted) -> Errors:
+    """Relative model error of σa and σs′ by job: the dipole's bias against the table, the table's own noise."""
+    if fitted.group.model == "dipole":
+        return _dipole_errors(fitted)
+    shifts = [_shift(fitted, _refit(fitted, model)) for model in _noisy(fitted.model)]
+    rms = np.sqrt(np.mean(np.square(shifts), axis=0))
+    return [{"sigma_a": float(a), "sigma_sp": float(sp)} for a, sp in rms]
+
+
+def sensitivities(fitted: Fitted) -> Errors:
+    """d ln σ/dg and d ln σ/dη of both coefficients by job, by refitting with the tables beside this one."""
+    eta = fitted.group.eta
+    g = ASSUMED_G if fitted.group.g is None else fitted.group.g
+    steps = {
+        "g": ((eta, g - G_STEP), (eta, g + G_STEP), 2 * G_STEP),
+        "eta": ((eta - ETA_STEP, g), (eta + ETA_STEP, g), 2 * ETA_STEP),
+    }
+    found: Errors = [{} for _ in fitted.jobs]
+    for name, (below, above, width) in steps.items():
+        ends = [end if tabulated(*end) else (eta, g) for end in (below, above)]
+        missing = sum(end == (eta, g) for end in ends)
+        if missing == 2 or not tabulated(eta, g):
+            continue
+        lower, upper = (_refit(fitted, model_of("mc", *end)) for end in ends)
+        for row, entry in enumerate(found):
+            for key in ("sigma_a", "sigma_sp"):
+                a, b = (float(getattr(each, key)[row]) for each in (lower, upper))
+                slope = np.log(b / a) / (width / 2 if missing else width) if a > 0 and b > 0 else np.nan
+                entry[f"d_ln_{key}_d_{name}"] = float(slope)
+    return found
+
+
+def chi2_by_g(fitted: Fitted, gs: tuple[float, ...]) -> np.ndarray:
+    """χ² of every job under the tables of other g, shape (len(gs), jobs)."""
+    return np.array([_refit(fitted, model_of("mc", fitted.group.eta, g)).chi2 for g in gs])
+
+
+def _dipole_errors(fitted: Fitted) -> Errors:
+    """The dipole fitted to the table's light of the medium that it found; {} where no table ships for the medium."""
+    if not tabulated(fitted.group.eta, fitted.group.g):
+        return [{} for _ in fitted.jobs]
+    truth = model_of("mc", fitted.group.eta, fitted.group.g)
+    batch = (fitted.data, fitted.judged.solution)
+    bias: Refit = run_padded(lambda each: bias_batch(fitted.group.task, fitted.model, truth, *each), batch)
+    return [{"sigma_a": float(a), "sigma_sp": float(sp)} for a, sp in np.abs(_shift(fitted, bias))]
+
+
+def _refit(fitted: Fitted, model: ForwardModel) -> Refit:
+    batch = (fitted.data, fitted.judged.solution)
+    result: Refit = run_padded(lambda each: refit_batch(fitted.group.task, model, *each), batch)
+    return result
+
+
+def _shift(fitted: Fitted, refit: Refit) -> np.ndarray:
+    """Relative change of (σa, σs′), shape (jobs, 2); NaN where σa is 0."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        columns = [refit.sigma_a / fitted.judged.sigma_a - 1, refit.sigma_sp / fitted.judged.sigma_sp - 1]
+    return np.where(np.isfinite(columns), columns, np.nan).T
+
+
+def _noisy(model: Any) -> list[ForwardModel]:
+    """The table with noise of its own standard error on the spline's coefficients, a few times."""
+    rng = np.random.default_rng(NOISE_SEED)
+    curve = np.asarray(model.log_curve)
+    margins = [(0, long - short) for long, short in zip(curve.shape, model.log_curve_sd.shape, strict=True)]
+    sd = np.pad(np.asarray(model.log_curve_sd), margins, mode="edge")
+    draws = [curve + sd * rng.standard_normal(curve.shape) for _ in range(NOISE_DRAWS)]
+    noisy: list[ForwardModel] = [model._replace(log_curve=jnp.asarray(draw)) for draw in draws]
+    return jax.tree.map(jnp.asarray, noisy)
