@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from typing import Any
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
 from bssrdf.fit.batch import Fitted, run_padded
 from bssrdf.fit.choose import ASSUMED_G, model_of, tabulated
 from bssrdf.fit.compare import Refit, bias_batch, refit_batch
+from bssrdf.fit.curves import Curves
 from bssrdf.transport.forward import ForwardModel
+from bssrdf.transport.table_grid import R_ZERO, U_MAX, V_MAX, u_of
 
 G_STEP = 0.05
 ETA_STEP = 0.01
@@ -25,7 +25,7 @@ def model_errors(fitted: Fitted) -> Errors:
     """Relative model error of σa and σs′ by job: the dipole's bias against the table, the table's own noise."""
     if fitted.group.model == "dipole":
         return _dipole_errors(fitted)
-    shifts = [_shift(fitted, _refit(fitted, model)) for model in _noisy(fitted.model)]
+    shifts = [_shift(fitted, _refit(fitted, fitted.model, data)) for data in _noisy_data(fitted)]
     rms = np.sqrt(np.mean(np.square(shifts), axis=0))
     return [{"sigma_a": float(a), "sigma_sp": float(sp)} for a, sp in rms]
 
@@ -68,8 +68,8 @@ def _dipole_errors(fitted: Fitted) -> Errors:
     return [{"sigma_a": float(a), "sigma_sp": float(sp)} for a, sp in np.abs(_shift(fitted, bias))]
 
 
-def _refit(fitted: Fitted, model: ForwardModel) -> Refit:
-    batch = (fitted.data, fitted.judged.solution)
+def _refit(fitted: Fitted, model: ForwardModel, data: Curves | None = None) -> Refit:
+    batch = (data or fitted.data, fitted.judged.solution)
     result: Refit = run_padded(lambda each: refit_batch(fitted.group.task, model, *each), batch)
     return result
 
@@ -81,12 +81,18 @@ def _shift(fitted: Fitted, refit: Refit) -> np.ndarray:
     return np.where(np.isfinite(columns), columns, np.nan).T
 
 
-def _noisy(model: Any) -> list[ForwardModel]:
-    """The table with noise of its own standard error on the spline's coefficients, a few times."""
+def _noisy_data(fitted: Fitted) -> list[Curves]:
+    """The data with the table's own noise instead of the model with it: to first order the same, and simpler."""
     rng = np.random.default_rng(NOISE_SEED)
-    curve = np.asarray(model.log_curve)
-    margins = [(0, long - short) for long, short in zip(curve.shape, model.log_curve_sd.shape, strict=True)]
-    sd = np.pad(np.asarray(model.log_curve_sd), margins, mode="edge")
-    draws = [curve + sd * rng.standard_normal(curve.shape) for _ in range(NOISE_DRAWS)]
-    noisy: list[ForwardModel] = [model._replace(log_curve=jnp.asarray(draw)) for draw in draws]
-    return jax.tree.map(jnp.asarray, noisy)
+    table: Any = fitted.model
+    sd = np.asarray(table.log_curve_sd)
+    point = fitted.judged.solution.point
+    row = np.clip(u_of(np.clip(point.q, 0, fitted.model.q_max) / np.sqrt(3)) / U_MAX, 0, 1) * (sd.shape[0] - 1)
+    centre = (fitted.data.r_lo + fitted.data.r_hi) / 2 * np.exp(point.log_sigma_tp)[:, None]
+    column = np.clip(np.log1p(centre / R_ZERO) / V_MAX, 0, 1) * (sd.shape[1] - 1)
+    draws = []
+    for _ in range(NOISE_DRAWS):
+        noise = sd[np.rint(row).astype(int)] * rng.standard_normal((len(row), sd.shape[1]))
+        wave = np.stack([np.interp(x, np.arange(sd.shape[1]), y) for x, y in zip(column, noise, strict=True)])
+        draws.append(fitted.data._replace(rd=fitted.data.rd * (1 + wave)))
+    return draws
