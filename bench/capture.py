@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import random
 import shutil
 import signal
@@ -231,5 +230,4 @@ def run_bench(folder: Path, *, kills: int = 100, seed: int = 1) -> str:
 
 
 if __name__ == "__main__":
-    os.environ.setdefault("HOME", sys.argv[1])
     print(run_bench(Path(sys.argv[1])))

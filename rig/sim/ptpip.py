@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import socket
 import struct
 import threading
@@ -64,7 +65,8 @@ class Responder:
         """Tell the host of something that happened; nothing where it does not listen."""
         body = struct.pack(f"<HI{len(parameters)}I", code, transaction, *parameters)
         if self._events is not None:
-            self._events.sendall(_packet(_EVENT, body))
+            with contextlib.suppress(OSError):
+                self._events.sendall(_packet(_EVENT, body))
 
     def serve(self) -> None:
         """Accept connections until the process is ended."""

@@ -1,0 +1,138 @@
+"""The simulated world and its shutter controllers keep state and refuse what the devices refuse."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from bssrdf.rig.sim.light import SampleMedium, radial_light, unit_medium, walked
+from bssrdf.rig.sim.serial_devices import Sc10, Scpi, Uniblitz
+from bssrdf.rig.sim.world import World
+
+
+class NearWorld:
+    """The world in this process, at a time that the test sets."""
+
+    def __init__(self) -> None:
+        self.world, self.t = World(), 0.0
+
+    def now(self) -> float:
+        return self.t
+
+    def open(self, for_s: float | None = None) -> None:
+        self.world.open(self.t, None if for_s is None else self.t + for_s)
+
+    def close(self) -> None:
+        self.world.close(self.t)
+
+    def is_open(self) -> bool:
+        return self.world.is_open(self.t)
+
+    def beam(self, on: bool) -> None:
+        self.world.beam(self.t, on)
+
+    def status(self) -> dict[str, Any]:
+        return self.world.status(self.t)
+
+
+def said(device: Any, command: bytes) -> bytes:
+    whole, rest = device.take(command)
+    assert rest == b""
+    echo, reply = device.execute(whole)
+    return echo + reply
+
+
+def test_light_counts_only_while_shutter_and_beam_are_both_on() -> None:
+    world = World()
+    world.open(1.0, until=3.0)
+    world.beam(2.0, False)
+    assert world.lit_share(0.0, 4.0) == pytest.approx(0.25)
+    world.beam(2.5, True)
+    assert world.lit_share(2.0, 3.0) == pytest.approx(0.5)
+    assert not world.is_open(3.0)
+
+
+def test_a_stuck_blade_and_a_tripped_interlock_win_over_commands() -> None:
+    world = World()
+    world.arm(0.0, "shutter", "stuck_closed")
+    world.open(1.0)
+    assert not world.is_open(1.5)
+    world.clear(2.0)
+    world.open(2.0, until=3.0)
+    world.arm(2.5, "shutter", "stuck_open")
+    world.close(2.6)
+    assert world.is_open(9.0)
+    world.arm(9.5, "shutter", "interlock")
+    assert not world.is_open(9.6)
+    world.open(10.0)
+    assert not world.is_open(10.0)
+
+
+def test_a_fault_is_played_once_and_by_its_device() -> None:
+    world = World()
+    world.arm(0.0, "camera", "busy")
+    assert world.fault("shutter") is None
+    assert world.fault("camera") == "busy"
+    assert world.fault("camera") is None
+
+
+def test_the_sc10_toggles_closes_by_itself_and_refuses() -> None:
+    near = NearWorld()
+    device = Sc10(near)  # type: ignore[arg-type]
+    assert said(device, b"open=2000\r") == b"open=2000\r> "
+    assert said(device, b"mode=3\r") == b"mode=3\r> "
+    said(device, b"ens\r")
+    assert said(device, b"ens?\r") == b"ens?\r1\r> "
+    near.t = 1.9
+    assert said(device, b"closed?\r") == b"closed?\r0\r> "
+    near.t = 2.1
+    assert said(device, b"closed?\r") == b"closed?\r1\r> "
+    said(device, b"ens\r")
+    said(device, b"ens\r")
+    assert said(device, b"ens?\r") == b"ens?\r0\r> "
+    assert b"CMD_ARG_INVALID" in said(device, b"mode=9\r")
+    assert b"CMD_NOT_DEFINED" in said(device, b"fire\r")
+
+
+def test_the_uniblitz_never_answers() -> None:
+    near = NearWorld()
+    device = Uniblitz(near)  # type: ignore[arg-type]
+    assert said(device, b"@") == b""
+    assert near.is_open()
+    assert said(device, b"A") == b""
+    assert not near.is_open()
+
+
+def test_the_scpi_controller_queues_errors_and_its_watchdog_makes_the_bench_safe() -> None:
+    near = NearWorld()
+    device = Scpi(near)  # type: ignore[arg-type]
+    assert said(device, b"SYST:WATC 2000\n") == b""
+    said(device, b"BEAM:STAT ON\n")
+    said(device, b"SHUT:STAT OPEN\n")
+    assert said(device, b"SHUT:STAT?\n") == b"OPEN\n"
+    assert near.status()["lit"]
+    near.t = 1.9
+    device.idle()
+    assert near.status()["lit"]
+    near.t = 2.1
+    device.idle()
+    assert not near.status()["open"]
+    assert not near.status()["beam"]
+    said(device, b"SHUT:FIRE\n")
+    assert b"-113" in said(device, b"SYST:ERR?\n")
+    assert said(device, b"SYST:ERR?\n") == b'0,"No error"\n'
+    near.world.arm(near.t, "shutter", "interlock")
+    said(device, b"SHUT:PULS 1000\n")
+    assert b"interlock" in said(device, b"SYST:ERR?\n")
+
+
+def test_the_shipped_light_is_what_the_walk_gives() -> None:
+    medium = SampleMedium(0.17, 0.88, 1.3)
+    shipped = radial_light(medium, 45.0, photons=1, seed=1)
+    fresh = walked(unit_medium(medium), 45.0, photons=40_000, seed=5)
+    assert shipped.total == pytest.approx(fresh[0], rel=0.03)
+    half = fresh / fresh[0]
+    near = (half > 0.05) & (half < 0.95)
+    np.testing.assert_allclose(shipped.beyond[near], fresh[near], rtol=0.08)
