@@ -25,10 +25,19 @@ def _channel(channel: ChannelFit) -> str:
         sigma_a = f"σa < {channel.sigma_a_interval95_per_mm[1]:.2g}/mm (95 %)"
     else:
         sigma_a = f"σa {_with_error(channel.sigma_a_per_mm, channel.sigma_a_sd_per_mm)}/mm"
-    model_error = "".join(f", model {100 * error:.0f} % in {name}" for name, error in channel.model_error.items())
     chi2 = "" if math.isnan(channel.chi2_reduced) else f"  χ² {channel.chi2_reduced:.2f}"
     lo, hi = channel.window_mm
-    return f"{sigma_sp}  {sigma_a}  R {channel.total_r_model:.3f}  {lo:.2g}–{hi:.3g} mm{chi2}  [{channel.model}{model_error}]"
+    window = f"{lo:.2g}–{hi:.3g} mm"
+    return f"{sigma_sp}  {sigma_a}  R {channel.total_r_model:.3f}  {window}{chi2}  [{_model(channel)}]"
+
+
+def _model(channel: ChannelFit) -> str:
+    """The model, and its own relative error in each coefficient."""
+    symbols = {"sigma_sp": "σs′", "sigma_a": "σa"}
+    errors = [
+        f"{100 * channel.model_error[key]:.2g} % in {symbols[key]}" for key in symbols if key in channel.model_error
+    ]
+    return f"{channel.model}, itself off by {' and '.join(errors)}" if errors else channel.model
 
 
 def _with_error(value: float, sd: float) -> str:

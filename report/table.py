@@ -72,8 +72,9 @@ def format_rows(rows: Sequence[Row], form: Format, note: str = "") -> str:
     if form == "latex":
         body = [" & ".join(_latex(cell) for cell in line) + r" \\" for line in [head, *cells]]
         return "\n".join([rf"\begin{{tabular}}{{{'l' * len(head)}}}", body[0], r"\hline", *body[1:], r"\end{tabular}"])
+    cells = [[cell.replace("|", r"\|") for cell in line] for line in cells]
     widths = [max(len(line[i]) for line in [head, *cells]) for i in range(len(head))]
-    lines = [" | ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)) for line in [head, *cells]]
+    lines = [" | ".join(map(str.ljust, line, widths)) for line in [head, *cells]]
     rule = "|".join("-" * (width + 2) for width in widths)
     table = "\n".join([f"| {lines[0]} |", f"|{rule}|", *(f"| {line} |" for line in lines[1:])])
     return f"{table}\n\n{note}" if note else table
@@ -84,4 +85,5 @@ def _digits(value: float, digits: int = 4) -> float | None:
 
 
 def _latex(cell: str) -> str:
-    return cell.replace("_", r"\_").replace("%", r"\%")
+    escapes = {sign: f"\\{sign}" for sign in "_%&#${}"}
+    return cell.translate(str.maketrans(escapes | {"\\": r"\textbackslash{}", "~": r"\textasciitilde{}"}))
