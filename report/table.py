@@ -13,6 +13,7 @@ from bssrdf.transport.materials import load_materials, table_check, table_source
 
 Format = Literal["md", "csv", "json", "latex"]
 Row = dict[str, Any]
+_LATEX = {sign: f"\\{sign}" for sign in "_%&#${}"} | {"\\": r"\textbackslash{}", "~": r"\textasciitilde{}"}
 
 
 def published_table(form: Format) -> str:
@@ -60,7 +61,7 @@ def fits_table(fits: Sequence[Fit], form: Format) -> str:
 
 
 def format_rows(rows: Sequence[Row], form: Format, note: str = "") -> str:
-    """The rows, all with the same keys, as Markdown, CSV, JSON or a LaTeX tabular; `note` goes where prose can stand."""
+    """The rows, all with the same keys, as Markdown, CSV, JSON or LaTeX; `note` goes where prose can stand."""
     if form == "json":
         return json.dumps(list(rows), ensure_ascii=False, indent=1)
     head = list(rows[0])
@@ -85,5 +86,4 @@ def _digits(value: float, digits: int = 4) -> float | None:
 
 
 def _latex(cell: str) -> str:
-    escapes = {sign: f"\\{sign}" for sign in "_%&#${}"}
-    return cell.translate(str.maketrans(escapes | {"\\": r"\textbackslash{}", "~": r"\textasciitilde{}"}))
+    return "".join(_LATEX.get(sign, sign) for sign in cell)
