@@ -1,0 +1,79 @@
+"""`bssrdf calibrate colour`: camera RGB to linear sRGB from a colour chart, for display; fits stay in camera RGB."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from bssrdf.errors import InputError
+
+Array = NDArray[np.float64]
+
+_PATCHES = 24
+_PATCH_HALF_PX = 3
+
+
+@dataclass(frozen=True)
+class ColourCalibration:
+    """Matrix from linear camera RGB, scaled so that white is 1, to linear sRGB (D65)."""
+
+    matrix: Array
+    """3×3."""
+    rms: float
+    """Root mean square miss of the patches, in linear sRGB."""
+
+
+def calibrate_colour(path: Path, image: NDArray[Any]) -> ColourCalibration:
+    """Fit the matrix to a 24-patch ColorChecker in a linear RGB image (h, w, 3) above black; `path` is for errors.
+
+    InputError where no chart is found.
+    """
+    return fit_matrix(chart_patches(path, image))
+
+
+def chart_patches(path: Path, image: NDArray[Any]) -> Array:
+    """Mean linear RGB of the 24 patches (24, 3), in the chart's order."""
+    shown = np.clip(image / max(float(np.percentile(image, 99.5)), 1e-9), 0, 1) ** (1 / 2.2)
+    detector: Any = cv2.mcc.CCheckerDetector.create()
+    of_opencv_4: tuple[int, ...] = (cv2.mcc.MCC24,)
+    if hasattr(detector, "setColorChartType"):
+        of_opencv_4 = ()
+        detector.setColorChartType(cv2.mcc.MCC24)
+        detector.setUseDnnModel(False)
+    if not detector.process(np.ascontiguousarray(255 * shown[..., ::-1], np.uint8), *of_opencv_4):
+        raise InputError(f"{path}: shows no 24-patch colour chart; fill a third of the frame with it, evenly lit")
+    corners = np.asarray(detector.getBestColorChecker().getBox(), np.float32)
+    column, row = np.meshgrid((np.arange(6) + 0.5) / 6, (np.arange(4) + 0.5) / 4)
+    unit = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], np.float32)
+    to_image = cv2.getPerspectiveTransform(unit, corners)
+    centres = cv2.perspectiveTransform(np.stack([column, row], axis=-1).reshape(1, _PATCHES, 2), to_image)[0]
+    half = _PATCH_HALF_PX
+    return np.array(
+        [
+            np.mean(image[round(y) - half : round(y) + half + 1, round(x) - half : round(x) + half + 1], axis=(0, 1))
+            for x, y in centres
+        ],
+        float,
+    )
+
+
+def fit_matrix(patches: Array) -> ColourCalibration:
+    """The matrix that takes measured patches (24, 3) to those of the ColorChecker 24 (Finlayson 2015 with one term)."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # colour-science warns of optional packages
+        import colour
+
+        chart = colour.CCS_COLOURCHECKERS["ColorChecker24 - After November 2014"]
+        xyz = colour.xyY_to_XYZ(np.array(list(chart.data.values())))
+        wanted = colour.XYZ_to_RGB(xyz, "sRGB", chart.illuminant)
+        white = patches[_PATCHES - 6]
+        scaled = patches / white.mean() * wanted[_PATCHES - 6].mean()
+        matrix = np.asarray(colour.matrix_colour_correction(scaled, wanted, method="Cheung 2004", terms=3), float)
+    miss = scaled @ matrix.T - wanted
+    return ColourCalibration(matrix, float(np.sqrt(np.mean(miss**2))))

@@ -1,0 +1,52 @@
+"""`bssrdf calibrate camera`: what the frames of a session tell of the camera that took them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from bssrdf.errors import InputError
+from bssrdf.measure.bracket import bracket_of, camera_of
+from bssrdf.measure.learn import learn_camera
+from bssrdf.measure.merge import Progress
+from bssrdf.measure.pixels import mosaic_period
+from bssrdf.session.frames_csv import read_frames
+from bssrdf.session.records import Camera, FrameKind, Session
+
+_KINDS: tuple[FrameKind, ...] = ("sample", "reference", "flat")
+
+
+@dataclass(frozen=True)
+class CameraCalibration:
+    """A complete `[camera]` table, and how good it is."""
+
+    camera: Camera
+    """`white` is the saturation that the frames show."""
+    gain_rel_sd: float
+    nonlinearity: float
+    """Largest relative bend of the response between two exposures."""
+    exposure_ratio: dict[float, float]
+    """True over nominal exposure time by label [s]."""
+    exposure_rel_sd: dict[float, float]
+    n_hot: int
+    flags: tuple[str, ...]
+
+
+def calibrate_camera(session: Session, *, progress: Progress | None = None) -> CameraCalibration:
+    """Gain, read noise, saturation, linearity and exposure times from the brackets of a session and their darks."""
+    frames = read_frames(session.path)
+    every = (bracket_of(kind, session.path, frames) for kind in _KINDS)
+    brackets = [bracket for bracket in every if bracket.frames]
+    if not brackets:
+        raise InputError(f"{session.path / 'frames.csv'}: lists no frame of kind {', '.join(_KINDS)}; add some")
+    camera = camera_of(brackets[0], session.camera)
+    learnt = learn_camera(brackets, camera, mosaic_period(camera.layout or "mono"), progress)
+    sensor = learnt.sensor
+    return CameraCalibration(
+        Camera(camera.layout, sensor.black_dn, sensor.saturation_dn, sensor.gain_e_per_dn, sensor.read_noise_e),
+        learnt.gain_rel_sd,
+        learnt.nonlinearity,
+        {label: seconds / label for label, seconds in learnt.exposures.seconds.items()},
+        learnt.exposures.rel_sd,
+        int(learnt.hot.sum()),
+        learnt.flags,
+    )
