@@ -85,8 +85,8 @@ def run(group: click.Group, arguments: list[str]) -> int:
     except BssrdfError as error:
         return _failed(arguments, error, str(error), error.exit_code)
     except OSError as error:
-        place = f"{error.filename}: " if error.filename else ""
-        return _failed(arguments, error, f"{place}{error.strerror or error}; check path, permissions and space", BAD_INPUT)
+        what = ": ".join(str(part) for part in (error.filename, error.strerror or error) if part)
+        return _failed(arguments, error, f"{what}; check path, permissions and space", BAD_INPUT)
     except Exception as error:
         return _failed(arguments, error, f"a bug of ours: {error!r} (--debug shows where)", BUG)
     return code if isinstance(code, int) else 0
