@@ -111,7 +111,7 @@ def solve_exposures(labels_s: Sequence[float], ratios: Sequence[Ratio]) -> Expos
         normal += np.outer(step, step) / ratio.var
         right += step * _departure(ratio) / ratio.var
     log_scale = np.linalg.solve(normal, right)
-    shape = np.eye(len(labels)) - 1 / len(labels)
+    shape = np.eye(len(labels)) - 1 / max(len(labels), 1)
     residuals = [0.0]
     for ratio in ratios:
         left = _departure(ratio) - log_scale[place[ratio.longer_s]] + log_scale[place[ratio.shorter_s]]

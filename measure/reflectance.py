@@ -7,6 +7,7 @@ reflectance ρ. So R_d(r) = p(r)/KΦ [1/mm²], and R = Σ p A_px/KΦ of the samp
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import cv2
 import numpy as np
@@ -26,9 +27,9 @@ _OUTLINE_STEPS = 200
 _GLARE_PASSES = 2
 _SPOT_SD_PX = 3.0
 _SPOT_REACH_PX = 60
-_RING_POINTS = 2000
+_RING_POINTS = 200
 _SECOND_PEAK = 0.05
-_SECOND_CONTRAST = 4.0
+_SECOND_CONTRAST = 1.5
 
 
 @dataclass(frozen=True)
@@ -91,16 +92,17 @@ def _smooth_brightness(image: Image) -> NDArray[np.float32]:
 
 
 def has_second_spot(image: Image, spot: Spot) -> bool:
-    """Whether some place is as bright as a twentieth of the spot, and far brighter than others at its distance."""
+    """Whether some place is as bright as a twentieth of the spot, and brighter than others nearer to it are."""
     smooth = _smooth_brightness(image)
     y_px, x_px = np.mgrid[: smooth.shape[0] : 2, : smooth.shape[1] : 2].astype(float)
     distance = np.hypot(*image.surface.centred(x_px.ravel(), y_px.ravel(), (spot.x_px, spot.y_px)))
     bright = smooth[::2, ::2].ravel()
-    rings = np.argsort(distance)
-    for ring in np.array_split(rings, max(1, len(rings) // _RING_POINTS))[1:]:
-        if bright[ring].max() > max(_SECOND_PEAK * smooth.max(), _SECOND_CONTRAST * np.median(bright[ring])):
-            return True
-    return False
+    outwards = bright[np.argsort(distance)]
+    rings = np.array_split(outwards, max(1, len(outwards) // _RING_POINTS))
+    peak = float(smooth.max())
+    return any(
+        ring.max() > max(_SECOND_PEAK * peak, _SECOND_CONTRAST * np.median(inner)) for inner, ring in pairwise(rings)
+    )
 
 
 def spot_radius_mm(image: Image, spot: Spot) -> float:

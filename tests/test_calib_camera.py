@@ -1,0 +1,155 @@
+"""What frames tell of their camera: exposure ratios, gain, noise, saturation, movement, colour and response."""
+
+import cv2
+import numpy as np
+import pytest
+
+from bssrdf.calib.colour import calibrate_colour
+from bssrdf.calib.exposures import comparable, measured_ratio, solve_exposures
+from bssrdf.calib.photon_transfer import pair_gain, read_noise_dn
+from bssrdf.calib.registration import shift_between
+from bssrdf.calib.response import linearised, response_curve
+from bssrdf.calib.saturation import plateau_dn
+from bssrdf.calib.sensor import Sensor
+from bssrdf.calib.spot import find_spot
+from bssrdf.errors import InputError
+
+SENSOR = Sensor(black_dn=512.0, saturation_dn=16200.0, gain_e_per_dn=2.0, read_noise_e=4.0)
+LABELS_S = [0.001 * 2**k for k in range(13)]
+
+
+def signal(light_dn, rng):
+    """A frame above its dark: shot and read noise of both, rounded."""
+    electrons = rng.poisson(light_dn * SENSOR.gain_e_per_dn) + rng.normal(
+        0, SENSOR.read_noise_e * 2**0.5, light_dn.shape
+    )
+    return np.rint(electrons / SENSOR.gain_e_per_dn).astype(np.float32)
+
+
+def solved_exposures(true_s, radiance, seed=0):
+    rng = np.random.default_rng(seed)
+    ratios = []
+    before = None
+    for label_s, t in zip(LABELS_S, true_s, strict=True):
+        frame = signal(np.minimum(radiance * t, 40_000), rng)
+        good = frame + SENSOR.black_dn < SENSOR.saturation_dn
+        if before is not None:
+            chosen = good & before[1] & comparable(before[0], frame, label_s / before[2], SENSOR)
+            ratios.append(
+                measured_ratio(before[2], label_s, before[0][chosen].astype(float), frame[chosen].astype(float))
+            )
+        before = frame, good, label_s
+    return solve_exposures(LABELS_S, [ratio for ratio in ratios if ratio])
+
+
+def test_wrong_exposure_labels_are_found_from_the_overlap_of_the_bracket():
+    radiance = 0.9 * 15_600 / LABELS_S[0] * np.broadcast_to(np.logspace(0, -6, 600), (400, 600))
+    errors = np.random.default_rng(4).uniform(-0.02, 0.02, 13)
+    errors[0] = 0.05
+    true_s = np.array(LABELS_S) * (1 + errors)
+    found = solved_exposures(true_s, radiance)
+    seconds = np.array([found.seconds[label] for label in LABELS_S])
+    over_five_decades = (seconds / true_s) / (seconds / true_s)[-1] - 1
+    assert np.abs(over_five_decades).max() < 1e-3
+    rel_sd = np.array(list(found.rel_sd.values()))
+    common = (seconds / true_s) / np.exp(np.mean(np.log(seconds / true_s))) - 1
+    assert np.sqrt(np.mean((common / rel_sd) ** 2)) < 1.6
+
+
+def test_the_estimate_has_no_bias_where_most_pixels_are_dark():
+    radiance = 150.0 / LABELS_S[6] * np.random.default_rng(0).exponential(1, (300, 400))
+    found = [solved_exposures(LABELS_S, radiance, seed).seconds for seed in range(5)]
+    ratio = np.mean([each[LABELS_S[9]] / each[LABELS_S[6]] for each in found]) / 8
+    assert ratio == pytest.approx(1, abs=6e-4)
+
+
+def test_without_overlap_the_labels_stay():
+    found = solve_exposures([0.1, 0.2], [])
+    assert found.seconds == {0.1: pytest.approx(0.1), 0.2: pytest.approx(0.2)}
+    assert found.rel_sd[0.1] > 0.03
+
+
+def test_photon_transfer_finds_gain_and_read_noise():
+    rng = np.random.default_rng(1)
+    light = np.tile(np.linspace(500, 10_000, 400), 200)
+    read_var = 2 * SENSOR.read_var_dn()
+    for ratio in (1.0, 2.0):
+        gain = pair_gain(signal(light, rng).astype(float), signal(light * ratio, rng).astype(float), read_var / 2 * 2)
+        assert gain.e_per_dn == pytest.approx(SENSOR.gain_e_per_dn, rel=5 * gain.rel_sd)
+        assert gain.rel_sd < 0.01
+    pattern = rng.normal(0, 20, (300, 300))
+    darks = [np.rint(512 + pattern + rng.normal(0, 2, pattern.shape)) for _ in range(2)]
+    assert read_noise_dn(*darks) == pytest.approx(np.hypot(2, 12**-0.5), rel=0.02)
+
+
+def test_saturation_is_where_pixels_stop_following_the_light():
+    rng = np.random.default_rng(2)
+    radiance = np.logspace(2, 5, 200_000)
+    shorter = signal(radiance * 0.1, rng)
+    longer = np.minimum(512 + signal(radiance * 0.2, rng), 9000 + rng.integers(0, 4, radiance.shape))
+    assert plateau_dn(shorter, longer, 2.0, 512, 16383) == pytest.approx(9000, abs=5)
+    follows = 512 + signal(radiance[:100_000] * 0.2, rng)
+    assert plateau_dn(shorter[:100_000], follows, 2.0, 512, 16383) is None
+
+
+def test_a_shifted_scene_is_seen_and_a_still_one_is_not():
+    y, x = np.mgrid[:120, :160]
+
+    def scene(dx, seed):
+        rng = np.random.default_rng(seed)
+        return signal(5000 * np.exp(-((x - 80 - dx) ** 2 + (y - 60) ** 2) / 500) + 200, rng)
+
+    everywhere = np.ones((120, 160), bool)
+    still, moved = (shift_between(scene(0, 1), scene(dx, 2), everywhere, 1) for dx in (0, 0.6))
+    assert still.length_px < 5 * still.sd_px
+    assert moved.x_px == pytest.approx(0.6, abs=0.15)
+    assert moved.length_px > 10 * moved.sd_px
+
+
+def test_the_spot_is_found_to_a_twentieth_of_a_pixel():
+    y, x = (a.ravel().astype(float) for a in np.mgrid[:81, :101])
+    misses = []
+    for seed in range(10):
+        rng = np.random.default_rng(seed)
+        cx, cy = 50 + rng.uniform(-3, 3), 40 + rng.uniform(-3, 3)
+        r2 = (x - cx) ** 2 + 2 * (y - cy) ** 2
+        light = 3000 * np.exp(-r2 / 20) + 2000 / (1 + r2 / 30) ** 1.5
+        spot = find_spot(x, y, signal(light, rng).astype(float), (48.0, 42.0), 3.0)
+        misses.append(np.hypot(spot.x_px - cx, spot.y_px - cy))
+    assert max(misses) < 0.05
+
+
+def test_the_ellipse_of_a_gaussian_spot():
+    y, x = (a.ravel().astype(float) for a in np.mgrid[:81, :101])
+    spot = find_spot(x, y, np.exp(-2 * ((x - 50) / 8) ** 2 - 2 * ((y - 40) / 5) ** 2), (49.0, 41.0), 3.0)
+    assert spot.ellipse_px()[:2] == pytest.approx((8.0, 5.0), rel=0.01)
+
+
+def test_a_colour_chart_gives_the_matrix_to_srgb():
+    colour = pytest.importorskip("colour")
+    chart = colour.CCS_COLOURCHECKERS["ColorChecker24 - After November 2014"]
+    srgb = colour.XYZ_to_RGB(colour.xyY_to_XYZ(np.array(list(chart.data.values()))), "sRGB", chart.illuminant)
+    camera = np.array([[0.6, 0.3, 0.1], [0.2, 0.7, 0.1], [0.05, 0.25, 0.7]])
+    image = np.full((700, 900, 3), 0.4)
+    image[135:-135, 135:-135] = 0.02
+    for number, patch in enumerate(np.clip(srgb, 0, None) @ camera.T):
+        row, column = divmod(number, 6)
+        image[156 + 100 * row : 244 + 100 * row, 156 + 100 * column : 244 + 100 * column] = patch
+    image = 30_000 * cv2.GaussianBlur(image, (0, 0), 1) + np.random.default_rng(0).normal(0, 30, image.shape)
+    found = calibrate_colour("chart.tif", image)
+    np.testing.assert_allclose(found.matrix @ camera, np.eye(3), atol=0.02)
+    assert found.rms < 0.01
+    with pytest.raises(InputError, match=r"blank.tif: shows no 24-patch colour chart"):
+        calibrate_colour("blank.tif", np.full((400, 600, 3), 1000.0))
+
+
+def test_the_response_of_a_gamma_camera_is_straightened():
+    light = np.broadcast_to(np.linspace(0.005, 1, 300), (200, 300))
+    exposures_s = [0.05, 0.1, 0.2, 0.4, 0.8]
+    frames = [np.rint(255 * np.clip(2 * t * light, 0, 1) ** (1 / 2.2)).astype(np.uint8) for t in exposures_s]
+    curve = response_curve(frames, exposures_s)
+    middle = (frames[2] > 60) & (frames[2] < 220)
+    ratio = linearised(frames[2], curve)[middle] / light[middle]
+    assert np.std(ratio) / np.mean(ratio) < 0.05
+    with pytest.raises(InputError, match="at least three"):
+        response_curve(frames[:2], exposures_s[:2])

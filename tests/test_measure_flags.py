@@ -1,0 +1,228 @@
+"""Bad sessions: a flag or an error, never a silent number. And what the light beyond the frame and the glare do."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import tifffile
+
+from bssrdf.errors import InputError
+from bssrdf.measure.camera import calibrate_camera
+from bssrdf.measure.session import measure_session
+from bssrdf.session.frames_csv import read_frames, write_frames
+from bssrdf.session.hdr_exr import write_hdr_exr
+from bssrdf.session.records import Beam, Camera, Frame, Geometry, Material, Reference, Session
+
+EXPOSURES_S = [0.001 * 3**k for k in range(8)]
+BLACK, WHITE, GAIN, READ_NOISE_E = 500, 16383, 2.0, 3.0
+MM_PER_PX, VIEW_DEG = 0.1, 45.0
+SHAPE = (90, 120)
+CENTRE = (61.2, 44.7)
+
+
+def gaussians(r_mm):
+    return 0.5 * np.exp(-((r_mm / 0.8) ** 2)) + 0.02 * np.exp(-((r_mm / 2.0) ** 2))
+
+
+def tile(r_mm):
+    return 0.8 * np.exp(-((r_mm / 0.6) ** 2))
+
+
+TOTAL = (0.5 * 0.8**2 + 0.02 * 2.0**2) / (0.8 * 0.6**2)
+
+
+def picture(curve, centre=CENTRE):
+    y, x = np.mgrid[: SHAPE[0], : SHAPE[1]].astype(float)
+    along = (y - centre[1]) / np.cos(np.radians(VIEW_DEG))
+    return curve(MM_PER_PX * np.hypot(x - centre[0], along))
+
+
+class Bench:
+    """Pictures by kind, and what is done to each frame of a session before it is written."""
+
+    def __init__(self, seed=0):
+        self.rng = np.random.default_rng(seed)
+        self.pictures = {"sample": picture(gaussians), "reference": picture(tile)}
+        self.time_error = dict.fromkeys(EXPOSURES_S, 0.0)
+        self.repeats = 1
+        self.e_per_s = 0.75 * (WHITE - BLACK) * GAIN / EXPOSURES_S[0] / 0.8
+
+    def light(self, kind, number, repeat):
+        return self.pictures.get(kind, np.zeros(SHAPE))
+
+    def write(self, path: Path, **beam) -> Session:
+        (path / "frames").mkdir(parents=True)
+        frames = []
+        for kind in ("sample", "sample_dark", "reference", "reference_dark"):
+            for number, exposure_s in enumerate(EXPOSURES_S):
+                for repeat in range(self.repeats):
+                    t = exposure_s * (1 + self.time_error[exposure_s])
+                    mean = (self.e_per_s * self.light(kind, number, repeat) + 2.0) * t
+                    electrons = self.rng.poisson(mean) + self.rng.normal(0, READ_NOISE_E, SHAPE)
+                    dn = np.clip(np.rint(electrons / GAIN) + BLACK, 0, WHITE).astype(np.uint16)
+                    file = f"frames/{kind}_{number}_{repeat}.tif"
+                    tifffile.imwrite(path / file, dn)
+                    frames.append(Frame(file, kind, exposure_s))
+        write_frames(path, frames)
+        return Session(
+            path,
+            Camera("mono", BLACK, WHITE),
+            Material("wax", 1.4),
+            Geometry(MM_PER_PX, view_angle_deg=VIEW_DEG),
+            Beam(**beam),
+            Reference("tile", (1.0,)),
+        )
+
+
+@pytest.fixture(scope="module")
+def plain(tmp_path_factory):
+    session = Bench().write(tmp_path_factory.mktemp("flags") / "plain")
+    return session, measure_session(session)
+
+
+def test_a_clean_session_raises_no_flag(plain):
+    assert plain[1].slice.flags == ()
+    assert plain[1].slice.total_r["mono"] == pytest.approx(TOTAL, rel=0.01)
+    assert plain[1].slice.total_r["mono"] == pytest.approx(TOTAL, abs=4 * plain[1].slice.total_r_sd["mono"])
+
+
+def test_gain_and_noise_come_from_the_frames(plain):
+    found = calibrate_camera(plain[0])
+    assert found.camera.gain_e_per_dn == pytest.approx(GAIN, rel=0.1)
+    assert found.camera.read_noise_e == pytest.approx(READ_NOISE_E, rel=0.3)
+    assert found.nonlinearity < 0.01
+
+
+def test_the_order_of_the_lines_changes_no_bit(plain, tmp_path):
+    session, measured = plain
+    frames = read_frames(session.path)
+    write_frames(session.path, [frames[i] for i in np.random.default_rng(0).permutation(len(frames))])
+    again = measure_session(session)
+    write_frames(session.path, frames)
+    np.testing.assert_array_equal(again.images["sample"].radiance, measured.images["sample"].radiance)
+    np.testing.assert_array_equal(again.slice.channels["mono"].rd_per_mm2, measured.slice.channels["mono"].rd_per_mm2)
+
+
+def test_labels_off_by_five_percent_are_put_right_and_flagged(tmp_path):
+    bench = Bench()
+    bench.time_error = dict(zip(EXPOSURES_S, np.random.default_rng(3).choice([-0.05, 0.05], 8), strict=True))
+    curve = measure_session(bench.write(tmp_path / "labels")).slice
+    assert "exposure_labels_off" in curve.flags
+    assert curve.total_r["mono"] == pytest.approx(TOTAL, rel=0.01)
+
+
+def test_a_copied_frame_is_merged_once_and_flagged(tmp_path):
+    session = Bench().write(tmp_path / "copy")
+    once = measure_session(session)
+    (session.path / "frames/copy.tif").write_bytes((session.path / "frames/sample_5_0.tif").read_bytes())
+    write_frames(session.path, [*read_frames(session.path), Frame("frames/copy.tif", "sample", EXPOSURES_S[5])])
+    twice = measure_session(session)
+    assert "duplicate_frame" in twice.slice.flags
+    np.testing.assert_array_equal(twice.images["sample"].variance, once.images["sample"].variance)
+
+
+def test_a_sample_that_moved_is_flagged(tmp_path):
+    class Moving(Bench):
+        def light(self, kind, number, repeat):
+            if kind == "sample" and number >= 4:
+                return picture(gaussians, (CENTRE[0] + 1.0, CENTRE[1]))
+            return super().light(kind, number, repeat)
+
+    assert "moved" in measure_session(Moving().write(tmp_path / "moved")).slice.flags
+
+
+def test_two_spots_are_flagged(tmp_path):
+    bench = Bench()
+    bench.pictures["sample"] = bench.pictures["sample"] + 0.3 * picture(gaussians, (100.0, 20.0))
+    assert "second_spot" in measure_session(bench.write(tmp_path / "two")).slice.flags
+
+
+def test_a_lamp_that_drifts_between_repeats_widens_the_error_of_the_total(plain, tmp_path):
+    class Drifting(Bench):
+        def light(self, kind, number, repeat):
+            return super().light(kind, number, repeat) * (1 + 0.03 * repeat)
+
+    bench = Drifting()
+    bench.repeats = 2
+    curve = measure_session(bench.write(tmp_path / "drift")).slice
+    assert "drift" in curve.flags
+    assert curve.total_r_sd["mono"] / curve.total_r["mono"] > 0.02
+
+
+def test_laser_speckle_of_the_tile_goes_into_the_total(tmp_path):
+    curve = measure_session(
+        Bench().write(tmp_path / "laser", kind="laser", channels=("633nm",), spot_radius_mm=0.15)
+    ).slice
+    assert "speckle" in curve.flags
+    assert curve.total_r_sd["633nm"] / curve.total_r["633nm"] == pytest.approx(0.15, abs=0.02)
+
+
+def test_a_saturated_spot_has_a_curve_but_no_total(tmp_path):
+    bench = Bench()
+    bench.pictures["sample"] = 3 * bench.pictures["sample"]
+    curve = measure_session(bench.write(tmp_path / "saturated")).slice
+    assert "saturated" in curve.flags
+    assert curve.total_r == {}
+    assert len(curve.channels["mono"].r_mm) > 20
+
+
+def test_a_beam_outside_of_the_frame_is_an_error(tmp_path):
+    bench = Bench()
+    bench.pictures["sample"] = picture(gaussians, (-4.0, 45.0))
+    with pytest.raises(InputError, match=r"sample: the brightest point .* lies on the edge"):
+        measure_session(bench.write(tmp_path / "outside"))
+
+
+def test_a_dark_brighter_than_its_frame_is_an_error(tmp_path):
+    session = Bench().write(tmp_path / "dark")
+    dark = tifffile.imread(session.path / "frames/sample_dark_3_0.tif")
+    tifffile.imwrite(session.path / "frames/sample_dark_3_0.tif", dark + 300)
+    with pytest.raises(InputError, match=r"sample_3_0.tif: its dark frame is brighter"):
+        measure_session(session)
+
+
+def test_a_lower_plateau_than_the_white_level_is_found(tmp_path):
+    session = Bench().write(tmp_path / "plateau")
+    for file in (session.path / "frames").glob("*.tif"):
+        tifffile.imwrite(file, np.minimum(tifffile.imread(file), 13_000))
+    assert calibrate_camera(session).camera.white == pytest.approx(13_000, rel=0.02)
+    assert measure_session(session).slice.total_r["mono"] == pytest.approx(TOTAL, rel=0.015)
+
+
+def test_images_that_another_tool_merged_go_the_same_way(plain, tmp_path):
+    session, measured = plain
+    frames = []
+    (tmp_path / "elsewhere").mkdir()
+    for kind, hdr in measured.images.items():
+        write_hdr_exr(tmp_path / "elsewhere" / f"{kind}.exr", vars(hdr), {})
+        frames.append(Frame(f"{kind}.exr", f"{kind}_hdr", 1.0))
+    write_frames(tmp_path / "elsewhere", frames)
+    other = Session(
+        tmp_path / "elsewhere", Camera(), session.material, session.geometry, session.beam, session.reference
+    )
+    curve = measure_session(other).slice
+    assert curve.total_r["mono"] == pytest.approx(measured.slice.total_r["mono"], rel=1e-3)
+    ours, theirs = measured.slice.channels["mono"], curve.channels["mono"]
+    np.testing.assert_allclose(theirs.rd_per_mm2[:20], ours.rd_per_mm2[:20], rtol=1e-3)
+    assert np.all(theirs.sd_per_mm2[:20] > 0)
+
+
+def test_a_flat_field_takes_vignetting_out(tmp_path):
+    y, x = np.mgrid[: SHAPE[0], : SHAPE[1]]
+    vignette = 1 - 0.3 * np.hypot((x - 60) / 60, (y - 45) / 45) ** 2 / 2
+    bench = Bench()
+    bench.pictures = {kind: image * vignette for kind, image in bench.pictures.items()}
+    session = bench.write(tmp_path / "flat")
+    bench.pictures = {"flat": 0.3 * vignette}
+    frames = read_frames(session.path)
+    for kind in ("flat", "flat_dark"):
+        for repeat in range(4):
+            mean = bench.e_per_s * bench.pictures.get(kind, np.zeros(SHAPE)) * 0.001
+            dn = np.rint((bench.rng.poisson(mean) + bench.rng.normal(0, 3, SHAPE)) / GAIN) + BLACK
+            tifffile.imwrite(session.path / f"frames/{kind}{repeat}.tif", dn.astype(np.uint16))
+            frames.append(Frame(f"frames/{kind}{repeat}.tif", kind, 0.001))
+    write_frames(session.path, frames)
+    part = measure_session(session).slice.channels["mono"]
+    bright = (part.r_mm > 0.3) & (part.r_mm < 3.0)
+    truth = gaussians(part.r_mm) / (np.pi * 0.8 * 0.6**2)
+    assert np.sqrt(np.mean((part.rd_per_mm2 / truth - 1)[bright] ** 2)) < 0.04
