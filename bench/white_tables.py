@@ -11,6 +11,7 @@ import dataclasses
 import os
 import sys
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -54,9 +55,9 @@ def load_samples(path: Path) -> WhiteSamples:
     )
 
 
-def sample_all(out: Path, core_seconds: float, n_threads: int) -> None:
+def sample_all(out: Path, gs: Sequence[float], core_seconds: float, n_threads: int) -> None:
     """Raw samples of each g, one file each: `core_seconds` of processor time on average, more for larger g."""
-    for g in GS:
+    for g in gs:
         began = time.perf_counter()
         share = core_seconds * (0.5 + g) / (0.5 + float(np.mean(GS)))
         samples = sample(g, np.array(ETAS), share, seed=SEED, n_threads=n_threads)
@@ -109,12 +110,13 @@ def main() -> None:
     parser.add_argument("what", choices=["sample", "reference", "compress"])
     parser.add_argument("--out", type=Path, required=True, help="folder of the raw samples")
     parser.add_argument("--core-seconds", type=float, default=900.0, help="processor time for a g or a medium")
+    parser.add_argument("--g", type=float, nargs="+", default=GS, help="values of g to sample")
     parser.add_argument("--threads", type=int, default=os.cpu_count())
     parser.add_argument("--tables", type=Path, default=TABLES, help="file that compress writes")
     args = parser.parse_args()
     args.out.mkdir(parents=True, exist_ok=True)
     if args.what == "sample":
-        sample_all(args.out, args.core_seconds, args.threads)
+        sample_all(args.out, args.g, args.core_seconds, args.threads)
     elif args.what == "reference":
         reference_all(args.out, args.core_seconds, args.threads)
     else:

@@ -75,13 +75,14 @@ class TableModel(NamedTuple):
     def bin_average(self, medium: Medium, r_lo: Real, r_hi: Real) -> Float[Array, "..."]:
         """Mean of R_d over the annulus [r_lo, r_hi], weighted by r dr."""
         self.check(medium, r_hi)
-        at_nodes = Medium(*(jnp.asarray(field)[..., None] for field in medium))
+        at_nodes = Medium(*(_with_nodes(field) for field in medium))
         unit = R_ZERO / at_nodes.sigma_tp
-        v_lo, v_hi = (jnp.log1p(jnp.asarray(r)[..., None] / unit) for r in (r_lo, r_hi))
-        r = unit * jnp.expm1(v_lo + (v_hi - v_lo) * ((1 + _NODES) / 2).astype(v_lo.dtype))
-        ring = _WEIGHTS.astype(v_lo.dtype) * r * (r + unit)
+        v_lo, v_hi = jnp.log1p(_with_nodes(r_lo) / unit), jnp.log1p(_with_nodes(r_hi) / unit)
+        column = (-1, *(1,) * (jnp.ndim(v_hi) - 1)) if jnp.ndim(v_hi) else (-1,)
+        r = unit * jnp.expm1(v_lo + (v_hi - v_lo) * ((1 + _NODES) / 2).reshape(column).astype(v_hi.dtype))
+        ring = _WEIGHTS.reshape(column).astype(v_hi.dtype) * r * (r + unit)
         light = self._first(at_nodes, r) + self._multiple(at_nodes, r)
-        return (ring * light).sum(axis=-1) / ring.sum(axis=-1)
+        return (ring * light).sum(axis=0) / ring.sum(axis=0)
 
     def total(self, medium: Medium) -> Float[Array, "..."]:
         """Total diffuse reflectance."""
@@ -143,6 +144,12 @@ def _u(medium: Medium) -> Float[Array, "..."]:
     ratio = jnp.asarray(medium.sigma_a / medium.sigma_tp)
     q = jnp.sqrt(ratio + jnp.finfo(jnp.result_type(ratio, float)).eps)
     return (jnp.log1p(q / Q_ZERO) + jnp.log(medium.sigma_tp / medium.sigma_sp) / 2) / U_MAX
+
+
+def _with_nodes(value: Real) -> Float[Array, "..."]:
+    """An array with a first axis of length 1 for the nodes of a quadrature; a number stays one."""
+    array = jnp.asarray(value)
+    return array[None] if array.ndim else array
 
 
 def _rows(coefficients: Float[Array, "u ..."], t: Float[Array, "..."], n_cells: int) -> Float[Array, "..."]:
