@@ -1,0 +1,60 @@
+"""Sessions of one sample under several view angles: does what leaves it follow the exit law?"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from bssrdf.errors import InputError
+from bssrdf.session.records import Array, Slice
+from bssrdf.transport.convention import camera_factor
+
+
+@dataclass(frozen=True)
+class ViewComparison:
+    """One channel under several angles, as the same model quantity: entering flux, hemispherical exit."""
+
+    view_angle_deg: tuple[float, ...]
+    r_mm: Array
+    """Radii that all slices reach."""
+    rd_over_mean: Array
+    """(angles, radii): each curve over the mean of all; 1 where the exit law holds."""
+    total_r: tuple[float, ...]
+    """NaN where a slice has none."""
+
+
+def compare_views(slices: Sequence[Slice], channel: str) -> ViewComparison:
+    """Take the camera's factor off each slice and hold them against each other; InputError for fewer than two."""
+    if len(slices) < 2:
+        raise InputError(f"{len(slices)} slice has nothing to be compared with; give two or more view angles")
+    for curve in slices:
+        if channel not in curve.channels:
+            raise InputError(f"channel {channel} is not in every slice; it must be one of {', '.join(curve.channels)}")
+    factors = [
+        camera_factor(
+            curve.eta,
+            flux=curve.flux,
+            exit=curve.exit,
+            view_angle_deg=curve.view_angle_deg,
+            incidence_deg=curve.incidence_deg,
+        )
+        for curve in slices
+    ]
+    parts = [curve.channels[channel] for curve in slices]
+    first = max(part.r_mm.min() for part in parts)
+    last = min(part.r_mm.max() for part in parts)
+    r = np.unique(parts[0].r_mm)
+    r = r[(r >= first) & (r <= last)]
+    curves = []
+    for part, factor in zip(parts, factors, strict=True):
+        order = np.argsort(part.r_mm)
+        curves.append(np.interp(r, part.r_mm[order], part.rd_per_mm2[order]) / factor)
+    values = np.array(curves)
+    return ViewComparison(
+        tuple(curve.view_angle_deg for curve in slices),
+        r,
+        values / values.mean(axis=0),
+        tuple(curve.total_r.get(channel, np.nan) / factor for curve, factor in zip(slices, factors, strict=True)),
+    )

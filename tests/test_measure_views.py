@@ -1,0 +1,45 @@
+"""View angles compared, and the radius of the spot."""
+
+import numpy as np
+import pytest
+from scipy.special import erf
+
+from bssrdf.calib.spot_radius import beam_radius, knife_edge_radius
+from bssrdf.errors import InputError
+from bssrdf.measure.views import compare_views
+from bssrdf.session.records import ChannelSlice, Slice
+from bssrdf.transport.convention import camera_factor
+
+
+def seen_under(angle_deg, eta=1.5):
+    r = np.linspace(0.5, 8, 60)
+    factor = camera_factor(eta, flux="incident", exit="fresnel", view_angle_deg=angle_deg, incidence_deg=0.0)
+    part = ChannelSlice(r, factor * np.exp(-r) / r, np.full(r.shape, np.nan))
+    return Slice({"G": part}, eta, "incident", "fresnel", angle_deg, total_r={"G": 0.7 * factor})
+
+
+def test_curves_that_follow_the_exit_law_agree_at_every_angle():
+    found = compare_views([seen_under(angle) for angle in (0.0, 30.0, 60.0)], "G")
+    np.testing.assert_allclose(found.rd_over_mean, 1, rtol=1e-12)
+    assert found.total_r == pytest.approx((0.7, 0.7, 0.7))
+
+
+def test_one_view_or_a_missing_channel_cannot_be_compared():
+    with pytest.raises(InputError, match="two or more"):
+        compare_views([seen_under(0.0)], "G")
+    with pytest.raises(InputError, match="channel R is not"):
+        compare_views([seen_under(0.0), seen_under(45.0)], "R")
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_a_knife_edge_gives_the_radius(sign):
+    x = np.linspace(-0.6, 0.8, 40)
+    light = 5 + 100 * (1 + erf(sign * np.sqrt(2) * (x - 0.07) / 0.21)) / 2
+    noisy = light + np.random.default_rng(0).normal(0, 0.3, x.shape)
+    assert knife_edge_radius(x, noisy) == pytest.approx(0.21, rel=0.03)
+
+
+def test_the_spread_of_the_tile_is_taken_off():
+    assert beam_radius(0.25, 0.2) == pytest.approx(0.15)
+    with pytest.raises(InputError, match="thin opaque target"):
+        beam_radius(0.15, 0.2)
