@@ -15,6 +15,7 @@ from dataclasses import asdict, dataclass
 import numpy as np
 import platformdirs
 from numpy.typing import NDArray
+from scipy.interpolate import make_smoothing_spline
 
 from bssrdf.session.atomic import atomic_write
 
@@ -23,6 +24,8 @@ Array = NDArray[np.float64]
 _BINS_PER_E_FOLD = 10
 _REACH_MFP = (0.005, 2000.0)
 """Innermost and outermost edge of the radial bins above 0, in reduced mean free paths."""
+_FAINT = 1e-6
+"""Share of the light below which an annulus is too faint to smooth."""
 SHIPPED = "light.npz"
 """File beside this one."""
 
@@ -99,10 +102,27 @@ def walked(unit: SampleMedium, view_angle_deg: float, photons: int, seed: int) -
     medium = MonteCarloMedium.reduced(unit.sigma_a, unit.sigma_sp, unit.g, unit.eta)
     tally = simulate(medium, r_edges_mm=r_edges_mfp(), n_photons=photons, seed=seed)
     entering = float(transmittance(unit.eta, np.array(1.0)))
-    annulus = entering * tally.radiance(view_angle_deg)[0] * tally.area_mm2
+    rd, radiance = tally.rd()[0], tally.radiance(view_angle_deg)[0]
+    light = rd * tally.area_mm2
+    counted = light > _FAINT * light.sum()
+    smooth_rd = np.exp(_smooth(np.log(rd[counted]), light[counted], counted))
+    smooth_factor = _smooth(radiance[counted] / rd[counted], light[counted], counted)
+    rd[counted] = smooth_rd * smooth_factor
+    annulus = rd * tally.area_mm2
     total = entering * tally.total_radiance(view_angle_deg)[0]
-    inwards = np.cumsum(np.concatenate([[total - annulus.sum()], annulus[::-1]]))[::-1]
-    return np.minimum.accumulate(np.maximum(inwards, 0.0))
+    return beyond_of(annulus * total / annulus.sum())
+
+
+def _smooth(values: Array, light: Array, counted: NDArray[np.bool_]) -> Array:
+    """A value of the annuli `counted` without the photons' noise: smooth in ln r, weighted by the light it is from."""
+    edges = r_edges_mfp()
+    log_r = np.log(np.sqrt(np.maximum(edges[1:] * edges[:-1], edges[1:] ** 2 / 4)))[counted]
+    return np.asarray(make_smoothing_spline(log_r, values, light)(log_r))
+
+
+def beyond_of(annulus: Array) -> Array:
+    """Light farther out than each edge, from that of each annulus."""
+    return np.concatenate([np.cumsum(annulus[::-1])[::-1], [0.0]])
 
 
 @functools.cache

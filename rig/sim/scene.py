@@ -19,7 +19,7 @@ BRACKET_S = (0.001, 0.002, 0.004, 0.008, 0.016, 0.032, 0.064, 0.128, 0.25, 0.5, 
 
 Array = NDArray[np.float64]
 
-_PEAK = 0.6
+_PEAK = 0.1
 """Share of the full well that the brightest pixel fills in the shortest exposure."""
 
 
