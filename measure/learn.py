@@ -21,7 +21,8 @@ from bssrdf.session.records import Camera
 
 _MARGIN = 0.01
 """Samples this close to saturation, as a share of the range, are taken as clipped: the response bends there."""
-_MAX_PIXELS = 400_000
+_MAX_PIXELS = 2_000_000
+"""More than this many pixels tell nothing new about a pair of exposures."""
 _HOT_SD = 8.0
 _CLIPPED_SHARE = 0.3
 """Share of a dark's pixels at its lowest value above which the camera clips at black."""
@@ -85,6 +86,7 @@ def learn_camera(brackets: Sequence[Bracket], camera: Camera, period: int, progr
     labels = [frame.exposure_s for bracket in brackets for frame in bracket.frames]
     exposures = solve_exposures(labels, found.ratios)
     nonlinearity = max((ratio.nonlinearity for ratio in found.ratios), default=0.0)
+    flags += ["black_clipped"] if sensor.black_clipped else []
     flags += _flags(exposures, found, nonlinearity)
     return Learnt(sensor, _hot(brackets), exposures, gain_rel_sd, nonlinearity, found.flux_rel_sd, tuple(flags))
 
@@ -129,19 +131,26 @@ def _compare_pair(found: _Found, before: Level, level: Level, ratio: float, sens
     if plateau is not None:
         found.plateaus.append(plateau)
     chosen = good & comparable(a, b, ratio, sensor)
+    _thin_rows(chosen, period)
     shorter, longer = a[chosen].astype(float), b[chosen].astype(float)
     measured = measured_ratio(before.label_s, level.label_s, shorter, longer)
     if measured is None:
         return
     found.ratios.append(measured)
     if before.n_frames == level.n_frames == 1:
-        thin = max(1, shorter.size // _MAX_PIXELS)
-        gain = pair_gain(shorter[::thin], longer[::thin], sensor.read_var_dn() * (1 + 1 / level.n_darks))
+        gain = pair_gain(shorter, longer, sensor.read_var_dn() * (1 + 1 / level.n_darks))
         found.gains += [gain] if gain else []
     one = (..., 1) if a.ndim == 3 else ...
     shift = shift_between(a[one], b[one] / np.float32(np.exp(measured.log)), chosen[one], period)
     if shift and shift.length_px > max(_MOVED_PX, _MOVED_SD * shift.sd_px):
         found.moved = True
+
+
+def _thin_rows(chosen: NDArray[np.bool_], period: int) -> None:
+    """Clear whole rows of a mask, evenly, until few enough pixels are left."""
+    keep_every = -(-int(np.count_nonzero(chosen)) // _MAX_PIXELS)
+    if keep_every > 1:
+        chosen[np.arange(len(chosen)) // period % keep_every != 0] = False
 
 
 def _mean_gain(gains: Sequence[Gain]) -> Gain | None:
