@@ -157,8 +157,8 @@ def _disagree(side: Profile, everywhere: Profile) -> bool:
     if clear.sum() < _LEAST_BINS:
         return False
     departure = side.value[clear] / everywhere.curve()(side.r[clear]) - 1
-    noise = np.sqrt(np.mean((side.sd[clear] / side.value[clear]) ** 2))
-    return bool(np.sqrt(np.mean(departure**2)) > np.hypot(_DISAGREE_REL, 2 * noise))
+    noise = np.median(side.sd[clear] / side.value[clear])
+    return bool(np.median(np.abs(departure)) > np.hypot(_DISAGREE_REL, 2 * noise))
 
 
 def reflectance_of(tile: Reference, channel: str, session: Session, image: Image) -> float:

@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 _GROWTH = 0.04
 """A bin is this fraction of its radius wide, or one step of the channel's grid."""
 _REJECT_SD = 6.0
-_PASSES = 3
+_PASSES = 2
 _FAR_FOOTPRINTS = 30
 _NODES = np.polynomial.legendre.leggauss(3)
 

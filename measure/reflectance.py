@@ -7,6 +7,7 @@ reflectance ρ. So R_d(r) = p(r)/KΦ [1/mm²], and R = Σ p A_px/KΦ of the samp
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import pairwise
 
 import cv2
@@ -44,12 +45,14 @@ class Image:
     """Those to be used."""
     surface: Surface
 
-    def pixels(self, channel: str) -> ChannelPixels:
-        return pixels_of(self.hdr, self.layout, channel)
+    @cached_property
+    def pixels(self) -> dict[str, ChannelPixels]:
+        """The pixels of each channel that is used."""
+        return {channel: pixels_of(self.hdr, self.layout, channel) for channel in self.channels}
 
     def is_saturated(self, channel: str) -> bool:
         """Whether some pixel of the channel is saturated in every exposure, hot ones left out."""
-        return bool(self.pixels(channel).saturated.any())
+        return bool(self.pixels[channel].saturated.any())
 
     def outline(self, spot: Spot) -> tuple[Array, Array]:
         """The edge of the frame on the surface, (across, along) from the spot, once round."""
@@ -74,7 +77,7 @@ def locate(image: Image) -> Spot:
         )
     near = _SPOT_REACH_PX * period
     parts = []
-    for pixels in (image.pixels(channel) for channel in image.channels):
+    for pixels in image.pixels.values():
         used = pixels.good & (np.abs(pixels.x_px - column) < near) & (np.abs(pixels.y_px - row) < near)
         value = pixels.value[used]
         parts.append((pixels.x_px[used], pixels.y_px[used], value / value.max(initial=1e-300)))
@@ -137,7 +140,7 @@ def total_light(
     is taken for veiling glare and subtracted; `per_light` = 1/KΦ, where known, then helps to tell it from the sample's
     own light.
     """
-    pixels = image.pixels(channel)
+    pixels = image.pixels[channel]
     across, along = image.surface.centred(pixels.x_px, pixels.y_px, (spot.x_px, spot.y_px))
     area = image.surface.pixel_area_mm2(pixels.x_px, pixels.y_px) * pixels.px_per_sample
     curve = radial_profile(image, channel, spot)
@@ -171,7 +174,7 @@ def total_light(
 
 
 def _points(image: Image, channel: str, spot: Spot) -> Points:
-    pixels = image.pixels(channel)
+    pixels = image.pixels[channel]
     good = pixels.good
     across, along = image.surface.centred(pixels.x_px[good], pixels.y_px[good], (spot.x_px, spot.y_px))
     return Points(across, along, pixels.value[good], pixels.variance[good])
