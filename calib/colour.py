@@ -12,6 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bssrdf.errors import InputError
+from bssrdf.session.frame_files import read_frame_file
+from bssrdf.session.records import Camera
 
 Array = NDArray[np.float64]
 
@@ -29,12 +31,30 @@ class ColourCalibration:
     """Root mean square miss of the patches, in linear sRGB."""
 
 
-def calibrate_colour(path: Path, image: NDArray[Any]) -> ColourCalibration:
-    """Fit the matrix to a 24-patch ColorChecker in a linear RGB image (h, w, 3) above black; `path` is for errors.
+def calibrate_colour(path: Path, camera: Camera) -> ColourCalibration:
+    """Fit the matrix to a 24-patch ColorChecker in a frame; `camera` says what the file does not.
 
-    InputError where no chart is found.
+    InputError where the frame cannot be read, is of one colour, or shows no chart.
     """
-    return fit_matrix(chart_patches(path, image))
+    frame = read_frame_file(path)
+    layout = camera.layout or frame.layout or "mono"
+    black = frame.black if camera.black is None else camera.black
+    return fit_matrix(chart_patches(path, linear_rgb(path, frame.data, layout, 0.0 if black is None else black)))
+
+
+def linear_rgb(path: Path, data: NDArray[Any], layout: str, black: float | NDArray[np.float64]) -> Array:
+    """RGB above black (h, w, 3); of a colour filter mosaic at half its size, a 2×2 cell for a pixel."""
+    if layout == "rgb":
+        return np.asarray(data, float) - black
+    if set(layout) != set("RGB"):
+        raise InputError(f"{path}: has the layout {layout}, from which no colour can be had; use an RGB camera")
+    levels = np.broadcast_to(black, (2, 2))
+    height, width = (n // 2 * 2 for n in data.shape)
+    cell = [data[row:height:2, column:width:2] - levels[row, column] for row in (0, 1) for column in (0, 1)]
+    return np.stack(
+        [np.mean([part for part, letter in zip(cell, layout, strict=True) if letter == c], axis=0) for c in "RGB"],
+        axis=-1,
+    )
 
 
 def chart_patches(path: Path, image: NDArray[Any]) -> Array:

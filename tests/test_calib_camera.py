@@ -3,6 +3,7 @@
 import cv2
 import numpy as np
 import pytest
+import tifffile
 
 from bssrdf.calib.colour import calibrate_colour
 from bssrdf.calib.exposures import comparable, measured_ratio, solve_exposures
@@ -13,6 +14,7 @@ from bssrdf.calib.saturation import plateau_dn
 from bssrdf.calib.sensor import Sensor
 from bssrdf.calib.spot import find_spot
 from bssrdf.errors import InputError
+from bssrdf.session.records import Camera
 
 SENSOR = Sensor(black_dn=512.0, saturation_dn=16200.0, gain_e_per_dn=2.0, read_noise_e=4.0)
 LABELS_S = [0.001 * 2**k for k in range(13)]
@@ -125,7 +127,7 @@ def test_the_ellipse_of_a_gaussian_spot():
     assert spot.ellipse_px()[:2] == pytest.approx((8.0, 5.0), rel=0.01)
 
 
-def test_a_colour_chart_gives_the_matrix_to_srgb():
+def test_a_colour_chart_gives_the_matrix_to_srgb(tmp_path):
     colour = pytest.importorskip("colour")
     chart = colour.CCS_COLOURCHECKERS["ColorChecker24 - After November 2014"]
     srgb = colour.XYZ_to_RGB(colour.xyY_to_XYZ(np.array(list(chart.data.values()))), "sRGB", chart.illuminant)
@@ -136,11 +138,19 @@ def test_a_colour_chart_gives_the_matrix_to_srgb():
         row, column = divmod(number, 6)
         image[156 + 100 * row : 244 + 100 * row, 156 + 100 * column : 244 + 100 * column] = patch
     image = 30_000 * cv2.GaussianBlur(image, (0, 0), 1) + np.random.default_rng(0).normal(0, 30, image.shape)
-    found = calibrate_colour("chart.tif", image)
+    mosaic = np.empty((1400, 1800))
+    for place, channel in enumerate((0, 1, 1, 2)):
+        row, column = divmod(place, 2)
+        mosaic[row::2, column::2] = image[..., channel]
+    tifffile.imwrite(tmp_path / "chart.tif", np.rint(mosaic + 512).astype(np.uint16))
+    found = calibrate_colour(tmp_path / "chart.tif", Camera("RGGB", 512.0))
     np.testing.assert_allclose(found.matrix @ camera, np.eye(3), atol=0.02)
     assert found.rms < 0.01
+    tifffile.imwrite(tmp_path / "blank.tif", np.full((400, 600), 1000, np.uint16))
     with pytest.raises(InputError, match=r"blank.tif: shows no 24-patch colour chart"):
-        calibrate_colour("blank.tif", np.full((400, 600, 3), 1000.0))
+        calibrate_colour(tmp_path / "blank.tif", Camera("RGGB", 512.0))
+    with pytest.raises(InputError, match=r"blank.tif: has the layout mono"):
+        calibrate_colour(tmp_path / "blank.tif", Camera("mono"))
 
 
 def test_the_response_of_a_gamma_camera_is_straightened():
