@@ -1,4 +1,4 @@
-"""Curves on which a fit could go astray, each with what it must say. Light is that of the Monte Carlo table, with noise.
+"""Curves on which a fit could go astray, each with what it must say. The light is the Monte Carlo table's, with noise.
 
 All cases of one kind are fitted in one call, so that few kernels are compiled.
 """

@@ -1,0 +1,204 @@
+"""`bssrdf bench fit`: time against error for models and constraints, beside jaxopt and SciPy on the same curves.
+
+The curves are the Monte Carlo table's light of the published materials of η = 1.3, 1 to 24 mean free paths in 200 radii
+with 1 % noise, and R to 0.2 %. So the table's errors are statistical, and the dipole's show what the model costs.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from functools import partial
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from bssrdf.bench.fit_peers import Answer, Problem, jaxopt_soft, scipy_exact, scipy_slsqp, scipy_soft, timed
+from bssrdf.fit.choose import model_of
+from bssrdf.fit.curves import Curves, bucket_of
+from bssrdf.fit.kernel import Common, Constraint, Judged, Task, fit_batch
+from bssrdf.transport.dipole import Medium
+from bssrdf.transport.forward import DipoleModel
+from bssrdf.transport.inverse_total import absorption_ratio
+from bssrdf.transport.materials import CHANNELS, load_materials
+from bssrdf.transport.precision import scoped_x64
+
+ETA = 1.3
+N_RADII = 200
+BATCH = 1024
+SLOW = 60
+"""Curves that a method gets which fits them one by one."""
+OURS: tuple[tuple[str, Constraint], ...] = (
+    ("dipole", "exact"),
+    ("dipole", "soft"),
+    ("dipole", "none"),
+    ("mc", "exact"),
+    ("mc", "soft"),
+    ("mc", "none"),
+)
+
+
+class WholeDipole(DipoleModel):
+    """The dipole with all radii, as the peers take them."""
+
+    @property
+    def window_mfp(self) -> tuple[float, float]:
+        return (0.0, float("inf"))
+
+
+@dataclass(frozen=True)
+class Score:
+    """One method: its speed and its median and 90th percentile relative errors."""
+
+    method: str
+    fits_per_second: float
+    sigma_sp_median: float
+    sigma_sp_p90: float
+    sigma_a_median: float
+    sigma_a_p90: float
+    from_optimum: float | None = None
+    """Largest relative distance of ln σt′ from SciPy's optimum of the same problem."""
+
+
+@scoped_x64
+def run_fit_bench(
+    *, out: Path | None = None, progress: Callable[[str, int, int], None] | None = None, batch: int = BATCH
+) -> list[Score]:
+    """Run every method; with `out` also write fit.json and fit.png there."""
+    problem, sigma_a, sigma_sp = _problem(batch)
+    few = _first(problem, SLOW)
+    ratio = np.asarray(absorption_ratio(jnp.asarray(few.total_r), ETA))
+    steps: dict[str, Callable[[], Answer]] = {
+        **{f"{model} {constraint}": partial(_ours, model, constraint, problem) for model, constraint in OURS},
+        "jaxopt soft": lambda: jaxopt_soft(problem),
+        "scipy least_squares exact": lambda: scipy_exact(few, ratio),
+        "scipy least_squares soft": lambda: scipy_soft(few),
+        "scipy SLSQP": lambda: scipy_slsqp(few),
+    }
+    answers = {}
+    for number, (name, run) in enumerate(steps.items()):
+        if progress is not None:
+            progress(name, number, len(steps))
+        answers[name] = run()
+    optima = {"dipole exact": "scipy least_squares exact", "dipole soft": "scipy least_squares soft"}
+    scores = [
+        _score(name, answer, sigma_a, sigma_sp, answers.get(optima.get(name, ""))) for name, answer in answers.items()
+    ]
+    if out is not None:
+        out.mkdir(parents=True, exist_ok=True)
+        (out / "fit.json").write_text(json.dumps([asdict(score) for score in scores], indent=1) + "\n")
+        _draw(out / "fit.png", scores)
+    return scores
+
+
+def table(scores: list[Score]) -> str:
+    """The scores as Markdown; speeds also as ratios to SciPy one by one."""
+    base = next(score.fits_per_second for score in scores if score.method == "scipy least_squares exact")
+    lines = [
+        "| method | fits/s | × SciPy | σs′ error median / p90 | σa error median / p90 | from SciPy's optimum |",
+        "|---|---:|---:|---:|---:|---:|",
+    ]
+    lines += [
+        f"| {s.method} | {s.fits_per_second:.0f} | {s.fits_per_second / base:.1f} "
+        f"| {100 * s.sigma_sp_median:.2f} / {100 * s.sigma_sp_p90:.1f} % "
+        f"| {100 * s.sigma_a_median:.2f} / {100 * s.sigma_a_p90:.1f} % "
+        f"| {'' if s.from_optimum is None else f'{s.from_optimum:.1e}'} |"
+        for s in scores
+    ]
+    return "\n".join(lines)
+
+
+def _problem(batch: int) -> tuple[Problem, np.ndarray, np.ndarray]:
+    """Curves with noise, and the coefficients that they were made from."""
+    cells = [
+        material.medium(channel)
+        for material in load_materials().values()
+        for channel in CHANNELS
+        if material.eta == ETA and material.name != "Spectralon"
+    ]
+    rng = np.random.default_rng(0)
+    which = np.arange(batch) % len(cells)
+    sigma_a = np.array([cells[i].sigma_a for i in which], float)
+    sigma_sp = np.array([cells[i].sigma_sp for i in which], float)
+    light = model_of("mc", ETA, 0.0)
+    r_mm = np.linspace(1, 24, N_RADII) / (sigma_a + sigma_sp)[:, None]
+    medium = Medium(jnp.asarray(sigma_a), jnp.asarray(sigma_sp), ETA)
+    rd = np.asarray(jax.vmap(lambda a, sp, r: light.rd(Medium(a, sp, jnp.asarray(ETA)), r))(*medium[:2], r_mm))
+    total_r = np.asarray(jax.vmap(lambda a, sp: light.total(Medium(a, sp, jnp.asarray(ETA))))(*medium[:2]))
+    noisy = rd * (1 + 0.01 * rng.standard_normal(rd.shape))
+    noisy_total = np.minimum(total_r * (1 + 0.002 * rng.standard_normal(batch)), 0.9999)
+    return Problem(r_mm, noisy, 0.01 * rd, noisy_total, 0.002 * total_r, ETA), sigma_a, sigma_sp
+
+
+def _first(problem: Problem, rows: int) -> Problem:
+    r_mm, rd, sd, total_r, total_r_sd = (each[:rows] for each in problem[:5])
+    return Problem(r_mm, rd, sd, total_r, total_r_sd, problem.eta)
+
+
+def _ours(name: str, constraint: Constraint, problem: Problem) -> Answer:
+    task = Task(constraint, scale_free=False, binned=False, errors_known=True, blurred=False, robust=False)
+    model = WholeDipole(jnp.asarray(ETA)) if name == "dipole" else model_of("mc", ETA, 0.0)
+    batch, n = problem.rd.shape
+    extra = ((0, 0), (0, bucket_of(n) - n))
+    padded = [np.pad(each, extra, mode="edge") for each in (problem.r_mm, problem.rd)]
+    data = Curves(
+        r_lo=jnp.asarray(padded[0]),
+        r_hi=jnp.asarray(padded[0]),
+        rd=jnp.asarray(padded[1]),
+        weight=jnp.asarray(np.pad(1 / problem.sd, extra)),
+        total_r=jnp.asarray(problem.total_r),
+        total_r_sd=jnp.asarray(problem.total_r_sd),
+        window=jnp.asarray(np.tile([0.0, np.inf], (batch, 1))),
+        spot_radius=jnp.zeros(batch),
+        n=jnp.full(batch, n),
+    )
+    common = Common(data.total_r_sd, jnp.zeros(batch), jnp.zeros(batch))
+    judged: list[Judged] = []
+
+    def run() -> jax.Array:
+        judged[:] = [fit_batch(task, model, data, common)]
+        return jax.block_until_ready(judged[0].sigma_sp)
+
+    _, seconds = timed(run)
+    return Answer(np.asarray(judged[0].sigma_a), np.asarray(judged[0].sigma_sp), seconds / batch)
+
+
+def _score(name: str, answer: Answer, sigma_a: np.ndarray, sigma_sp: np.ndarray, optimum: Answer | None) -> Score:
+    rows = len(answer.sigma_a)
+    error_sp = np.abs(answer.sigma_sp / sigma_sp[:rows] - 1)
+    error_a = np.abs(answer.sigma_a / sigma_a[:rows] - 1)
+    distance = None
+    if optimum is not None:
+        both = [each.sigma_a[:SLOW] + each.sigma_sp[:SLOW] for each in (answer, optimum)]
+        distance = float(np.max(np.abs(both[0] / both[1] - 1)))
+    return Score(
+        name,
+        1 / answer.seconds_each,
+        float(np.median(error_sp)),
+        float(np.quantile(error_sp, 0.9)),
+        float(np.median(error_a)),
+        float(np.quantile(error_a, 0.9)),
+        distance,
+    )
+
+
+def _draw(path: Path, scores: list[Score]) -> None:
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(7, 4.5), layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.add_subplot(xscale="log", yscale="log", xlabel="time a fit, s", ylabel="median relative error of σa")
+    for score in scores:
+        axes.plot(1 / score.fits_per_second, score.sigma_a_median, "o")
+        axes.annotate(
+            score.method,
+            (1 / score.fits_per_second, score.sigma_a_median),
+            xytext=(5, 3),
+            textcoords="offset points",
+            fontsize=8,
+        )
+    figure.savefig(path, dpi=110)
