@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 MEANING = {
+    "black_clipped": "The camera cuts off at black: noise below it is lost, and faint light comes out too bright.",
     "drift": "Frames of the same exposure differ in brightness: lamp or camera drifted.",
     "duplicate_frame": "Some frames are copies of others: they were merged once.",
     "exposure_labels_off": "Exposure times found from the bracket differ from their labels: those found were used.",
