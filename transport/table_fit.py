@@ -38,7 +38,7 @@ from bssrdf.transport.white_walk import COARSE
 
 Floats = NDArray[np.float64]
 
-ROUGHNESS_V = 0.03
+ROUGHNESS_V = 0.005
 """Expected third differences of the coefficients of S along v."""
 ROUGHNESS_U = 0.3
 Q2_LEAST = 0.003
