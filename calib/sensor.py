@@ -28,9 +28,11 @@ class Sensor:
         return (self.read_noise_e / self.gain_e_per_dn) ** 2 + _QUANTISATION_VAR_DN
 
 
-def master_dark(darks: list[NDArray[Any]]) -> NDArray[np.float32]:
-    """Mean dark frame [DN] of one exposure: bias and dark current, with nothing clipped."""
-    total = darks[0].astype(np.float32)
+def master_dark(darks: list[NDArray[Any]]) -> NDArray[Any]:
+    """Mean dark frame [DN] of one exposure: bias and dark current, with nothing clipped. A single one as it is."""
+    if len(darks) == 1:
+        return darks[0]
+    total: NDArray[np.float32] = darks[0].astype(np.float32)
     for dark in darks[1:]:
         total += dark
     total /= len(darks)

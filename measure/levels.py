@@ -40,7 +40,7 @@ def levels_of(bracket: Bracket, saturation_dn: float, noise_dn: float) -> Iterat
     for label_s, group in groupby(read_ahead(shots), key=lambda pair: label[pair[0].name]):
         signals, brightest, n_darks = [], None, 1
         for shot, sample in group:
-            signal = sample.raw - sample.dark.astype(np.float32, copy=False)
+            signal = np.subtract(sample.raw, sample.dark, dtype=np.float32)
             _check_brighter_than_dark(shot, signal, noise_dn)
             signals.append(signal)
             brightest = sample.raw if brightest is None else np.maximum(brightest, sample.raw)
