@@ -67,6 +67,10 @@ class TableModel(NamedTuple):
     def window_mfp(self) -> tuple[float, float]:
         return (0.0, R_MAX)
 
+    @property
+    def relative_error(self) -> float:
+        return 0.003
+
     def rd(self, medium: Medium, r: Real) -> Float[Array, "..."]:
         """R_d(r) [1/mm²]; raises InputError outside the table where the values are known."""
         self.check(medium, r)
