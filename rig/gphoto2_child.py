@@ -12,8 +12,6 @@ import time
 from pathlib import Path
 from typing import Any
 
-import gphoto2 as gp
-
 _NOISE_REDUCTION = ("longexpnr", "d06b")
 _OFF = ("Off", "0", "off")
 _POLL_S = 0.002
@@ -23,18 +21,26 @@ class Child:
     """One camera."""
 
     def __init__(self) -> None:
+        import gphoto2  # an extra: everything else must import without it
+
+        self._gp: Any = gphoto2
         self._camera: Any = None
         self._exposure: str | None = None
 
+    @property
+    def error(self) -> type[Exception]:
+        """What the library raises."""
+        return self._gp.GPhoto2Error  # type: ignore[no-any-return]
+
     def connect(self, port: str | None, model: str | None, iso: str | None) -> dict[str, Any]:
         """Open the camera, put what it must be set to, and tell what it is and can do."""
-        self._camera = gp.Camera()
+        self._camera = self._gp.Camera()
         if model:
-            abilities = gp.CameraAbilitiesList()
+            abilities = self._gp.CameraAbilitiesList()
             abilities.load()
             self._camera.set_abilities(abilities[abilities.lookup_model(model)])
         if port:
-            ports = gp.PortInfoList()
+            ports = self._gp.PortInfoList()
             ports.load()
             self._camera.set_port_info(ports[ports.lookup_path(port)])
         self._camera.init()
@@ -59,7 +65,7 @@ class Child:
             self._exposure = exposure
         self._trigger(deadline)
         folder, name = self._new_file(deadline)
-        file = self._camera.file_get(folder, name, gp.GP_FILE_TYPE_NORMAL)
+        file = self._camera.file_get(folder, name, self._gp.GP_FILE_TYPE_NORMAL)
         path = part + Path(name).suffix.lower()
         file.save(path)
         self._camera.file_delete(folder, name)
@@ -70,24 +76,24 @@ class Child:
             try:
                 self._camera.trigger_capture()
                 return
-            except gp.GPhoto2Error as error:
-                if error.code != gp.GP_ERROR_CAMERA_BUSY or time.monotonic() > deadline:
+            except self.error as error:
+                if error.code != self._gp.GP_ERROR_CAMERA_BUSY or time.monotonic() > deadline:
                     raise
             time.sleep(0.05)
 
     def _new_file(self, deadline: float) -> tuple[str, str]:
         while time.monotonic() < deadline:
             kind, data = self._camera.wait_for_event(100)
-            if kind == gp.GP_EVENT_FILE_ADDED:
+            if kind == self._gp.GP_EVENT_FILE_ADDED:
                 return data.folder, data.name
-            if kind == gp.GP_EVENT_TIMEOUT:
+            if kind == self._gp.GP_EVENT_TIMEOUT:
                 time.sleep(_POLL_S)
         raise TimeoutError("the camera announced no file in time")
 
     def _get(self, name: str) -> str | None:
         try:
             return str(self._camera.get_single_config(name).get_value())
-        except gp.GPhoto2Error:
+        except self.error:
             return None
 
     def _set(self, name: str, value: str) -> None:
@@ -111,7 +117,7 @@ def main() -> None:
         verb, arguments = json.loads(line)
         try:
             answer: dict[str, Any] = {"ok": getattr(child, verb)(**arguments)}
-        except (gp.GPhoto2Error, ValueError, OSError) as error:
+        except (child.error, ValueError, OSError) as error:
             answer = {"error": str(error) or type(error).__name__}
         answers.write(json.dumps(answer) + "\n")
         answers.flush()

@@ -40,7 +40,7 @@ class Plan:
     settle_s: float = 0.1
     """Wait after the shutter has opened, before the camera is released."""
     order: Order = "alternating"
-    """"alternating": each frame is followed by its dark; "blocks": all frames of a subject, then all its darks."""
+    """With "alternating" a dark follows each frame, with "blocks" all darks of a subject follow all its frames."""
     drift_check: bool = True
 
 

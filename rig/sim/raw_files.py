@@ -1,17 +1,14 @@
-"""Frames as files of a camera: DNG as a raw camera makes it, and 16-bit TIFF."""
+"""Frames as files of a camera: DNG as a raw camera makes it."""
 
 from __future__ import annotations
 
 import io
 from fractions import Fraction
-from pathlib import Path
 
 import numpy as np
-import OpenImageIO as oiio
 import tifffile
 from numpy.typing import NDArray
 
-from bssrdf.errors import InputError
 from bssrdf.rig.sim.sensor import Sensor
 
 _FILTER = {"R": 0, "G": 1, "B": 2}
@@ -41,17 +38,3 @@ def dng_bytes(dn: NDArray[np.uint16], sensor: Sensor, exposure_s: float, iso: in
     buffer = io.BytesIO()
     tifffile.imwrite(buffer, dn, photometric=_COLOUR_FILTER_ARRAY, extratags=tags, metadata=None, software="bssrdf")
     return buffer.getvalue()
-
-
-def write_tiff(path: Path, dn: NDArray[np.uint16], exposure_s: float) -> None:
-    """A 16-bit TIFF of the mosaic as it is."""
-    height, width = dn.shape
-    spec = oiio.ImageSpec(width, height, 1, "uint16")
-    spec.attribute("ExposureTime", exposure_s)
-    output = oiio.ImageOutput.create(str(path))
-    if output is None:
-        raise InputError(f"{path}: OpenImageIO cannot write this format; use .tif")
-    written = output.open(str(path), spec) and output.write_image(dn[..., np.newaxis])
-    closed = output.close()
-    if not (written and closed):
-        raise InputError(f"{path}: cannot be written ({output.geterror()}); is the disk full?")

@@ -41,7 +41,7 @@ class Scene:
     """Of a walk, where the light of a medium does not ship with the package."""
     seed: int = 1
     noise: str = "fresh"
-    """"repeatable": the same exposure of the same subject gives the same file again."""
+    """With "repeatable", the same exposure of the same subject gives the same file again."""
 
     @property
     def view(self) -> View:
