@@ -28,9 +28,9 @@ class Child:
         self._exposure: str | None = None
 
     @property
-    def error(self) -> type[Exception]:
-        """What the library raises."""
-        return self._gp.GPhoto2Error  # type: ignore[no-any-return]
+    def error(self) -> Any:
+        """The class of what the library raises."""
+        return self._gp.GPhoto2Error
 
     def connect(self, port: str | None, model: str | None, iso: str | None) -> dict[str, Any]:
         """Open the camera, put what it must be set to, and tell what it is and can do."""
