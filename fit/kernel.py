@@ -118,9 +118,9 @@ def _reweighted(task: Task, model: ForwardModel, data: Curves, known: Float[Arra
     inside = counts(model, last.point.log_sigma_tp, data.r_lo, data.r_hi, known, data.window)
     centre = (data.r_lo + data.r_hi) / 2
     widened = blur(model, last.point, centre, data.spot_radius) if task.blurred else last.blur
-    weight = inside * (known if task.errors_known else _relative(task, model, data, last.point))
+    expected = curve(model, last.point, data.r_lo, data.r_hi, task.binned) * widened
+    weight = inside * _weight(task, model, known, expected)
     if task.robust:
-        expected = curve(model, last.point, data.r_lo, data.r_hi, task.binned) * widened
         distance = jnp.abs(data.rd - expected) * weight
         scatter = 1.0 if task.errors_known else _median(distance, inside) / 0.6745
         weight = weight * jnp.sqrt(jnp.minimum(1, HUBER * scatter / jnp.maximum(distance, 1e-12)))
@@ -172,7 +172,7 @@ def residual(task: Task, model: ForwardModel, data: Curves, at: Solution) -> Res
 
 
 def judge(task: Task, model: ForwardModel, data: Curves, common: Common, solution: Solution) -> Judged:
-    """Linear error propagation: the scatter of the curve, then the common errors of R, scale and length."""
+    """Linear error propagation: the noise of the curve through the weights, then the errors of R, scale and length."""
     point = solution.point
     misfit = residual(task, model, data, solution)
     p = misfit.by_free.shape[0]
@@ -180,7 +180,8 @@ def judge(task: Task, model: ForwardModel, data: Curves, common: Common, solutio
     chi2 = misfit.value @ misfit.value / jnp.maximum(dof, 1)
 
     inverse = _inverse(misfit.by_free @ misfit.by_free.T)
-    covariance = _shape_of_free(task, inverse) * (1.0 if task.errors_known else chi2)
+    scatter = misfit.by_free * _share_of_noise(task, data, solution, chi2)[None, :]
+    covariance = _shape_of_free(task, inverse @ scatter @ misfit.by_free.T @ inverse)
     for response, q_shift, sd in _common_responses(task, model, data, point, misfit, common):
         free_shift = -inverse @ (misfit.by_free @ response)
         shift = jnp.stack([free_shift[0], q_shift if task.constraint == "exact" else free_shift[1]]) * sd
@@ -228,6 +229,13 @@ def _common_responses(
     ]
 
 
+def _share_of_noise(task: Task, data: Curves, solution: Solution, chi2: Scalar) -> Float[Array, " m"]:
+    """Variance of the standardised residuals that is noise of the data and not allowance for the model."""
+    known = jnp.where(data.weight > 0, data.weight, 1)
+    share = jnp.square(solution.weight / known) if task.errors_known else jnp.full_like(known, chi2)
+    return jnp.append(share, 1) if task.constraint == "soft" else share
+
+
 def _shape_of_free(task: Task, inverse: Float[Array, "p p"]) -> Float[Array, "2 2"]:
     """Covariance of (ln σt′, q) from that of the free parameters."""
     if task.constraint == "exact":
@@ -246,10 +254,17 @@ def _unpack(task: Task, free: Vector, q_of_r: Scalar) -> Parameters:
     return Parameters(free[0], q, free[-1] if task.scale_free else jnp.zeros_like(free[0]))
 
 
-def _relative(task: Task, model: ForwardModel, data: Curves, point: Parameters) -> Float[Array, " n"]:
-    """Equal relative errors, about the model and not about the noisy data, which would bias the far end."""
-    expected = curve(model, point, data.r_lo, data.r_hi, task.binned)
-    return 1 / jnp.maximum(expected, jnp.finfo(expected.dtype).tiny ** 0.5)
+def _weight(
+    task: Task, model: ForwardModel, known: Float[Array, " n"], expected: Float[Array, " n"]
+) -> Float[Array, " n"]:
+    """1/√(sd² + what the model may be off by²), or equal relative errors where the data have none.
+
+    Both are taken about the model and not about the noisy data, which would bias the far end.
+    """
+    expected = jnp.maximum(expected, jnp.finfo(expected.dtype).tiny ** 0.25)
+    if not task.errors_known:
+        return 1 / expected
+    return known / jnp.sqrt(1 + jnp.square(known * model.relative_error * expected))
 
 
 def _inverse(information: Float[Array, "p p"]) -> Float[Array, "p p"]:

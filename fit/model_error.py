@@ -31,26 +31,30 @@ def model_errors(fitted: Fitted) -> Errors:
 
 
 def sensitivities(fitted: Fitted) -> Errors:
-    """d ln σ/dg and d ln σ/dη of both coefficients by job, by refitting with the tables beside this one."""
-    eta = fitted.group.eta
-    g = ASSUMED_G if fitted.group.g is None else fitted.group.g
-    steps = {
-        "g": ((eta, g - G_STEP), (eta, g + G_STEP), 2 * G_STEP),
-        "eta": ((eta - ETA_STEP, g), (eta + ETA_STEP, g), 2 * ETA_STEP),
-    }
+    """d ln σ/dη, and for the table d ln σ/dg, of both coefficients by job, by refitting with the models beside."""
+    eta, g = fitted.group.eta, fitted.group.g
+    neighbours = {"eta": ((eta - ETA_STEP, g), (eta + ETA_STEP, g), ETA_STEP)}
+    if fitted.group.model == "mc":
+        assumed = ASSUMED_G if g is None else g
+        neighbours["g"] = ((eta, assumed - G_STEP), (eta, assumed + G_STEP), G_STEP)
     found: Errors = [{} for _ in fitted.jobs]
-    for name, (below, above, width) in steps.items():
-        ends = [end if tabulated(*end) else (eta, g) for end in (below, above)]
-        missing = sum(end == (eta, g) for end in ends)
-        if missing == 2 or not tabulated(eta, g):
+    for name, (below, above, step) in neighbours.items():
+        ends = [end for end in (below, above) if fitted.group.model == "dipole" or tabulated(*end)]
+        if not ends:
             continue
-        lower, upper = (_refit(fitted, model_of("mc", *end)) for end in ends)
+        refits = [_refit(fitted, model_of(fitted.group.model, *end)) for end in ends]
+        first, last = (refits[0], refits[1]) if len(ends) == 2 else _ordered(fitted, refits[0], ends[0] == above)
         for row, entry in enumerate(found):
             for key in ("sigma_a", "sigma_sp"):
-                a, b = (float(getattr(each, key)[row]) for each in (lower, upper))
-                slope = np.log(b / a) / (width / 2 if missing else width) if a > 0 and b > 0 else np.nan
-                entry[f"d_ln_{key}_d_{name}"] = float(slope)
+                a, b = float(getattr(first, key)[row]), float(getattr(last, key)[row])
+                slope = float(np.log(b / a)) / (step * len(ends)) if a > 0 and b > 0 else float("nan")
+                entry[f"d_ln_{key}_d_{name}"] = slope
     return found
+
+
+def _ordered(fitted: Fitted, refit: Refit, is_above: bool) -> tuple[Any, Any]:
+    """The fit and its only neighbour, the lower first."""
+    return (fitted.judged, refit) if is_above else (refit, fitted.judged)
 
 
 def chi2_by_g(fitted: Fitted, gs: tuple[float, ...]) -> np.ndarray:

@@ -17,6 +17,7 @@ from bssrdf.fit.run import FitOptions, fit_slice, fit_slices
 from bssrdf.session.records import ChannelFit, ChannelSlice, Slice
 from bssrdf.transport import dipole
 from bssrdf.transport.dipole import Medium
+from bssrdf.transport.forward import DipoleModel
 from bssrdf.transport.materials import CHANNELS, load_materials
 
 CELLS = [(name, channel) for name in load_materials() for channel in CHANNELS]
@@ -94,11 +95,16 @@ def test_the_optimum_is_that_of_scipy(constraint: str) -> None:
     inside = (channel.r_mm >= fit.window_mm[0]) & (channel.r_mm <= fit.window_mm[1])
     q_of_r = np.sqrt(3 * fit.sigma_a_per_mm / (fit.sigma_a_per_mm + fit.sigma_sp_per_mm))
 
+    with jax.enable_x64(True):
+        found = Medium(fit.sigma_a_per_mm, fit.sigma_sp_per_mm, 1.5)
+        allowance = DipoleModel(1.5).relative_error * np.asarray(dipole.rd(found, channel.r_mm))
+    sd = np.hypot(channel.sd_per_mm2, allowance)
+
     def residual(x: np.ndarray) -> np.ndarray:
         sigma_tp, q = np.exp(x[0]), x[1] if len(x) > 1 else q_of_r
         with jax.enable_x64(True):
             there = Medium(q**2 / 3 * sigma_tp, (1 - q**2 / 3) * sigma_tp, 1.5)
-            rest = (channel.rd_per_mm2 - np.asarray(dipole.rd(there, channel.r_mm))) / channel.sd_per_mm2
+            rest = (channel.rd_per_mm2 - np.asarray(dipole.rd(there, channel.r_mm))) / sd
             gap = (piece.total_r["G"] - float(dipole.total_r(there))) / 0.002
         return np.append(rest[inside], gap) if constraint == "soft" else rest[inside]
 

@@ -39,6 +39,11 @@ class ForwardModel(Protocol):
         """Radii in mean free paths 1/σt′ between which a fit may trust it."""
         ...
 
+    @property
+    def relative_error(self) -> float:
+        """How far its curve may be off at a typical radius: what a radius's weight in a fit allows for."""
+        ...
+
     def rd(self, medium: Medium, r: Real) -> Float[Array, "..."]:
         """R_d(r) [1/mm²]."""
         ...
@@ -68,6 +73,10 @@ class DipoleModel(NamedTuple):
     @property
     def window_mfp(self) -> tuple[float, float]:
         return (1.0, 24.0)
+
+    @property
+    def relative_error(self) -> float:
+        return 0.05
 
     def rd(self, medium: Medium, r: Real) -> Float[Array, "..."]:
         return dipole.rd(medium, r)

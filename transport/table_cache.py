@@ -13,10 +13,8 @@ import platformdirs
 
 from bssrdf.errors import InputError
 from bssrdf.transport.parallel import Progress
-from bssrdf.transport.table_fit import fit_tables
 from bssrdf.transport.table_model import TableModel
 from bssrdf.transport.table_set import TableSet, read_tables, table_set, write_tables
-from bssrdf.transport.white_samples import sample
 
 ETA_RANGE = (1.0, 3.0)
 G_RANGE = (-0.9, 0.95)
@@ -77,6 +75,9 @@ def _own(
     directory: Path | None,
     core_seconds: float,
 ) -> TableModel:
+    from bssrdf.transport.table_fit import fit_tables
+    from bssrdf.transport.white_samples import sample
+
     folder = directory or cache_directory()
     path = folder / f"white-eta{eta!r}-g{g!r}.npz"
     if not path.exists():

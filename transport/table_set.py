@@ -6,15 +6,17 @@ import hashlib
 import os
 import zipfile
 from pathlib import Path
-from typing import IO, NamedTuple
+from typing import IO, TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bssrdf.errors import InputError
 from bssrdf.transport.table_assembly import assemble
-from bssrdf.transport.table_fit import FittedTable
 from bssrdf.transport.table_model import TableModel
+
+if TYPE_CHECKING:
+    from bssrdf.transport.table_fit import FittedTable
 
 Floats = NDArray[np.float64]
 
