@@ -10,6 +10,8 @@ from typing import Any, TypeVar
 import click
 
 from bssrdf import __version__
+from bssrdf.cli_bench import bench
+from bssrdf.cli_calibrate import calibrate
 from bssrdf.console import BAD_INPUT, Group, is_quiet, keep_compiled, run, warn
 from bssrdf.errors import BssrdfError, UsageError
 
@@ -213,6 +215,8 @@ def _slice_keys(command: Decorated) -> Decorated:
 @click.option(
     "--window-mm", type=float, nargs=2, metavar="LO HI", help="Radii to use, instead of the automatic window."
 )
+@click.option("--robust", is_flag=True, help="Huber's loss, for dust and glare; the fit is flagged.")
+@click.option("--explain", is_flag=True, help="Say how --model auto chooses.")
 @click.option("--json", "as_json", is_flag=True, help="One compact JSON object a line.")
 @click.option("--out", type=FILE, help="Write the fit here (one input).")
 @click.option("--strict", is_flag=True, help="Exit code 5 where a result is unidentifiable.")
@@ -224,6 +228,8 @@ def fit(
     constraint: Any,
     scale: Any,
     window_mm: tuple[float, float] | None,
+    robust: bool,
+    explain: bool,
     as_json: bool,
     out: Path | None,
     strict: bool,
@@ -243,7 +249,11 @@ def fit(
     from bssrdf.session.fit_json import failure_line, fit_line
     from bssrdf.workflow import fit_files
 
-    options = FitOptions(model=model, constraint=constraint, scale=scale, window_mm=window_mm)
+    if explain:
+        from bssrdf.fit.choose import RULE
+
+        click.echo(RULE, err=as_json)
+    options = FitOptions(model=model, constraint=constraint, scale=scale, window_mm=window_mm, robust=robust)
     given = {name: value for name, value in keys.items() if value is not None}
     code = 0
     for path, outcome in zip(inputs, fit_files(inputs, options, given, out=target), strict=True):
@@ -285,23 +295,24 @@ def demo(out: Path, force: bool) -> None:
     click.echo(text)
 
 
-@cli.group()
-def bench() -> None:
-    """Speed against error, beside other tools that are installed."""
-
-
-@bench.command("hdr")
-@click.option("--out", type=FOLDER, help="Folder for hdr.json and hdr.png.")
+@cli.command()
+@click.argument("fit_path", type=FOLDER, metavar="FIT_OR_SESSION")
+@click.option("--out", type=FILE, help="Picture to write; validation.png beside the fit if not given.")
 @_force
-def bench_hdr(out: Path | None, force: bool) -> None:
-    """Merge one bracket by every method there is."""
-    from bssrdf.bench.hdr import run_hdr_bench, table
+def validate(fit_path: Path, out: Path | None, force: bool) -> None:
+    """Simulate the fitted coefficients photon by photon and draw data, dipole and Monte Carlo (the paper's Fig. 6)."""
     from bssrdf.report.progress import steps
+    from bssrdf.report.validation import validation_text
+    from bssrdf.workflow import validate_fit
 
-    folder = out and _fresh(out, force)
+    picture = _fresh(out, force) if out else (fit_path if fit_path.is_dir() else fit_path.parent) / "validation.png"
     with steps(quiet=is_quiet()) as progress:
-        scores = run_hdr_bench(out=folder, progress=progress)
-    click.echo(table(scores))
+        checks = validate_fit(fit_path, picture, progress=progress)
+    click.echo(f"{validation_text(checks)}\n{picture}")
+
+
+cli.add_command(calibrate)
+cli.add_command(bench)
 
 
 if __name__ == "__main__":

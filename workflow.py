@@ -5,15 +5,18 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import bssrdf
 from bssrdf.errors import BssrdfError, InputError
 from bssrdf.fit.run import FitOptions, fit_slices
-from bssrdf.session.atomic import sha256_of
+from bssrdf.session.atomic import atomic_write, sha256_of
 from bssrdf.session.fit_json import read_fit, write_fit
 from bssrdf.session.records import ChannelFit, Fit, Slice
 from bssrdf.session.slice_csv import read_slice
+
+if TYPE_CHECKING:
+    from bssrdf.report.validation import Check
 
 T = TypeVar("T")
 
@@ -43,6 +46,24 @@ def fit_files(
 def read_fits(paths: Sequence[Path]) -> list[Fit]:
     """The fits that session folders or fit.json files stand for."""
     return [read_fit(path / "fit.json" if path.is_dir() else path) for path in paths]
+
+
+def validate_fit(path: Path, picture: Path, *, progress: Callable[[str, int, int], None] | None = None) -> list[Check]:
+    """Simulate the fit that `path` stands for and draw it beside its data; see `report.validation`."""
+    from bssrdf.report.validation import draw_validation, validate
+
+    (fit,) = read_fits([path])
+    source = slice_file(path) if path.is_dir() else Path(fit.input_path)
+    piece = read_slice(source)
+    missing = [name for name in fit.channels if name not in piece.channels]
+    if missing:
+        raise InputError(f"{source}: has no channel {missing[0]}, which {path} fits; run the fit again")
+    checks = validate(fit, piece, progress=progress)
+    if not checks:
+        raise InputError(f"{path}: no channel converged, so there is nothing to simulate; look at its flags")
+    with atomic_write(picture) as part:
+        draw_validation(part, fit, piece, checks)
+    return checks
 
 
 def stale(path: Path, fit: Fit) -> str | None:

@@ -107,6 +107,13 @@ class Distortion:
 
 
 @dataclass(frozen=True)
+class Colour:
+    """`[colour]`: from linear camera RGB, white at 1, to linear sRGB (D65). For display only."""
+
+    matrix: tuple[tuple[float, float, float], ...]
+
+
+@dataclass(frozen=True)
 class Session:
     """session.toml, with `calibration` merged in. Tables that a command does not need may be None."""
 
@@ -117,6 +124,7 @@ class Session:
     beam: Beam = field(default_factory=Beam)
     reference: Reference | None = None
     distortion: Distortion | None = None
+    colour: Colour | None = None
     calibration: str | None = None
     """File name of the calibration that was merged in, relative to the session."""
 

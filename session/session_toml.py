@@ -28,7 +28,7 @@ from bssrdf.session.checks import (
     unique,
 )
 from bssrdf.session.frames_csv import write_frames
-from bssrdf.session.records import FORMAT, Beam, Camera, Distortion, Geometry, Material, Reference, Session
+from bssrdf.session.records import FORMAT, Beam, Camera, Colour, Distortion, Geometry, Material, Reference, Session
 from bssrdf.session.toml_text import toml_table
 
 Tables = dict[str, dict[str, Any]]
@@ -97,11 +97,13 @@ TABLES: dict[str, tuple[type, dict[str, Check]]] = {
         },
     ),
     "distortion": (Distortion, {"camera_matrix": matrix3, "coefficients": list_of(number())}),
+    "colour": (Colour, {"matrix": matrix3}),
 }
 _REQUIRED = {
     "material": ["name", "eta"],
     "reference": ["name", "reflectance"],
     "distortion": ["camera_matrix", "coefficients"],
+    "colour": ["matrix"],
 }
 
 

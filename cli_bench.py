@@ -1,0 +1,75 @@
+"""`bssrdf bench`: speed against error, beside other tools that are installed."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import click
+
+from bssrdf.console import Group, is_quiet
+from bssrdf.errors import UsageError
+
+OUT = click.option("--out", type=click.Path(path_type=Path), help="Folder for the results as JSON and as a plot.")
+FORCE = click.option("--force", is_flag=True, help="Replace what stands at the output.")
+
+
+@click.group(cls=Group)
+def bench() -> None:
+    """Speed against error, beside other tools that are installed."""
+
+
+@bench.command()
+@OUT
+@FORCE
+def hdr(out: Path | None, force: bool) -> None:
+    """Merge one bracket by every method there is."""
+    from bssrdf.bench.hdr import run_hdr_bench, table
+    from bssrdf.report.progress import steps
+
+    with steps(quiet=is_quiet()) as progress:
+        result = run_hdr_bench(out=_folder(out, force), progress=progress)
+    click.echo(table(result))
+
+
+@bench.command()
+@OUT
+@FORCE
+def fit(out: Path | None, force: bool) -> None:
+    """Fit the same curves by every model and constraint, by jaxopt and by SciPy."""
+    from bssrdf.bench.fit import run_fit_bench, table
+    from bssrdf.report.progress import steps
+
+    with steps(quiet=is_quiet()) as progress:
+        scores = run_fit_bench(out=_folder(out, force), progress=progress)
+    click.echo(table(scores))
+
+
+@bench.command()
+@click.option("--out", type=click.Path(path_type=Path), default=Path("bench-transport"), show_default=True)
+@FORCE
+def transport(out: Path, force: bool) -> None:
+    """Photons a second, time to 1 % error in every bin, and what a table costs beside the dipole."""
+    from bssrdf.bench.transport import run
+
+    folder = _folder(out, force)
+    assert folder is not None
+    click.echo(json.dumps(run(folder), indent=1))
+
+
+@bench.command()
+@click.option("--out", type=click.Path(path_type=Path), default=Path("bench-capture"), show_default=True)
+@click.option("--kills", type=int, default=100, show_default=True, help="Captures ended by SIGKILL.")
+def capture(out: Path, kills: int) -> None:
+    """Every fault of the simulated bench at every step, and captures killed at random moments."""
+    from bssrdf.bench.capture import run_bench
+
+    folder = _folder(out, force=False)
+    assert folder is not None
+    click.echo(run_bench(folder, kills=kills))
+
+
+def _folder(out: Path | None, force: bool) -> Path | None:
+    if out is not None and out.exists() and not force:
+        raise UsageError(f"{out} exists already; choose another --out, or replace it with --force")
+    return out
