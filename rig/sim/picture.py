@@ -13,7 +13,7 @@ from bssrdf.rig.sim.light import RadialLight
 
 Array = NDArray[np.float64]
 
-_RINGS_PER_SIGMA = 4
+_RINGS_PER_SIGMA = 8
 _BLUR_REACH_SIGMA = 100.0
 """Beyond this many σ of the spot, its width changes the curve by less than 0.1 %."""
 _NEAR_SPOTS = 6.0
