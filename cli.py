@@ -215,6 +215,7 @@ def _slice_keys(command: Decorated) -> Decorated:
 @click.option(
     "--window-mm", type=float, nargs=2, metavar="LO HI", help="Radii to use, instead of the automatic window."
 )
+@click.option("--fit-g", is_flag=True, help="Fit g as well, from the shape near the source.")
 @click.option("--robust", is_flag=True, help="Huber's loss, for dust and glare; the fit is flagged.")
 @click.option("--explain", is_flag=True, help="Say how --model auto chooses.")
 @click.option("--json", "as_json", is_flag=True, help="One compact JSON object a line.")
@@ -228,6 +229,7 @@ def fit(
     constraint: Any,
     scale: Any,
     window_mm: tuple[float, float] | None,
+    fit_g: bool,
     robust: bool,
     explain: bool,
     as_json: bool,
@@ -255,8 +257,9 @@ def fit(
         click.echo(RULE, err=as_json)
     options = FitOptions(model=model, constraint=constraint, scale=scale, window_mm=window_mm, robust=robust)
     given = {name: value for name, value in keys.items() if value is not None}
+    outcomes = fit_files(inputs, options, given, out=target, with_g=fit_g, announce=_announce)
     code = 0
-    for path, outcome in zip(inputs, fit_files(inputs, options, given, out=target), strict=True):
+    for path, outcome in zip(inputs, outcomes, strict=True):
         if isinstance(outcome, BssrdfError):
             code = outcome.exit_code
             click.echo(failure_line(path, outcome)) if as_json else warn(str(outcome))
@@ -265,6 +268,10 @@ def fit(
         if strict and any(channel.status == "unidentifiable" for channel in outcome.channels.values()):
             code = code or FLAGGED
     click.get_current_context().exit(code)
+
+
+def _announce(seconds: float) -> None:
+    warn(f"no Monte Carlo table ships for this medium: one is made now, in about {seconds:.0f} s, and kept")
 
 
 @cli.command()

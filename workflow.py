@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import bssrdf
 from bssrdf.errors import BssrdfError, InputError
 from bssrdf.fit.run import FitOptions, fit_slices
+from bssrdf.fit.setting import setting_flags
 from bssrdf.session.atomic import atomic_write, sha256_of
 from bssrdf.session.fit_json import read_fit, write_fit
-from bssrdf.session.records import ChannelFit, Fit, Slice
+from bssrdf.session.records import ChannelFit, Fit, Session, Slice
+from bssrdf.session.session_toml import read_session
 from bssrdf.session.slice_csv import read_slice
 
 if TYPE_CHECKING:
@@ -27,18 +29,27 @@ def slice_file(path: Path) -> Path:
 
 
 def fit_files(
-    inputs: Sequence[Path], options: FitOptions, keys: Mapping[str, Any], *, out: Path | None = None
+    inputs: Sequence[Path],
+    options: FitOptions,
+    keys: Mapping[str, Any],
+    *,
+    out: Path | None = None,
+    with_g: bool = False,
+    announce: Callable[[float], None] | None = None,
 ) -> list[Fit | BssrdfError]:
     """Fit sessions and slices in one batch; a session's fit is also written to its fit.json, or to `out`.
 
-    `keys` are header keys of slice.csv that win over the file's. An input that fails gives its error in its place, and
-    the others are fitted all the same.
+    `keys` are header keys of slice.csv that win over the file's; `with_g` fits g first, slice by slice. An input that
+    fails gives its error in its place, and the others are fitted all the same. `announce` is told the seconds that a
+    Monte Carlo table will take which has to be made.
     """
-    read = [_caught(_read, path, keys) for path in inputs]
+    read = [_caught(_read_with_g if with_g else _read, path, keys) for path in inputs]
     good = [(path, piece) for path, piece in zip(inputs, read, strict=True) if isinstance(piece, Slice)]
-    fitted = dict(zip((path for path, _ in good), _fit_all(good, options), strict=True))
+    fitted = dict(zip((path for path, _ in good), _fit_all(good, options, announce), strict=True))
     return [
-        piece if isinstance(piece, BssrdfError) else _caught(_finish, path, piece, fitted[path], options, keys, out)
+        piece
+        if isinstance(piece, BssrdfError)
+        else _caught(_finish, path, piece, fitted[path], options, keys, out, with_g)
         for path, piece in zip(inputs, read, strict=True)
     ]
 
@@ -81,12 +92,25 @@ def _read(path: Path, keys: Mapping[str, Any]) -> Slice:
     return read_slice(source, **keys)
 
 
+def _read_with_g(path: Path, keys: Mapping[str, Any]) -> Slice:
+    """The slice with the g that fits it best."""
+    from bssrdf.fit.free_g import fit_g
+
+    piece = _read(path, keys)
+    return replace(piece, g=fit_g(piece, FitOptions()).g)
+
+
+def _session(path: Path) -> Session | None:
+    """The session around a slice, where its folder was given; a slice needs none."""
+    return read_session(path) if (path / "session.toml").is_file() else None
+
+
 def _fit_all(
-    pieces: Sequence[tuple[Path, Slice]], options: FitOptions
+    pieces: Sequence[tuple[Path, Slice]], options: FitOptions, announce: Callable[[float], None] | None
 ) -> Sequence[dict[str, ChannelFit] | BssrdfError]:
     """All in one batch; where that is refused, one by one, to find whose fault it is."""
     try:
-        return fit_slices([piece for _, piece in pieces], options)
+        return fit_slices([piece for _, piece in pieces], options, announce=announce)
     except BssrdfError:
         return [_caught(_fit_one, path, piece, options) for path, piece in pieces]
 
@@ -105,10 +129,19 @@ def _finish(
     options: FitOptions,
     keys: Mapping[str, Any],
     out: Path | None,
+    g_fitted: bool,
 ) -> Fit:
     """The fit with where it came from, written to where it belongs."""
     if isinstance(channels, BssrdfError):
         raise channels
+    session = _session(path)
+    if session is not None and session.material is not None:
+        channels = {
+            name: replace(channel, flags=(*channel.flags, *setting_flags(session.material, channel)))
+            for name, channel in channels.items()
+        }
+    if g_fitted:
+        channels = {name: replace(channel, flags=(*channel.flags, "g_fitted")) for name, channel in channels.items()}
     fit = Fit(
         version=bssrdf.__version__,
         input_path=str(slice_file(path)),

@@ -27,6 +27,8 @@ FAR_OFF = 4.0
 LEAST_LIGHT = 1e-4
 """Of R; the light beyond the innermost radii of an opaque material may be this little."""
 MOST_LIGHT = 2.0
+MUCH_LOST = 0.05
+"""Share of the light that fell outside the frame, beyond which its estimate decides R."""
 
 
 class Setting(Protocol):
@@ -145,6 +147,7 @@ def _flags(
         "dipole_unchecked": dipole and not model_error,
         "few_radii": int(judged.solution.counts.sum()) < FEWEST,
         "g_assumed": job.piece.g is None and not dipole,
+        "light_lost": (job.piece.lost_fraction or {}).get(job.channel, 0.0) > MUCH_LOST,
         "noise": not relative < VAGUE,
         "not_converged": not bool(judged.solution.converged),
         "poor_fit": task.errors_known and (float(judged.chi2) > POOR_CHI2 or float(judged.runs_z) > POOR_RUNS),
@@ -153,6 +156,7 @@ def _flags(
         "scale_suspect": not task.scale_free and not _within_reason(job, total_r),
         "sd_unknown": not task.errors_known,
         "single_scattering": dipole and float(point.q) > np.sqrt(1.5),
+        "spot_wide": (job.piece.spot_radius_mm or 0.0) * float(np.exp(point.log_sigma_tp)) > 1,
         "total_at_limit": task.constraint != "none" and total_r >= 1,
         "total_inconsistent": abs(float(judged.total_pull)) > FAR_OFF,
         "total_unknown": job.channel not in job.piece.total_r,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -14,7 +14,7 @@ from bssrdf.fit.batch import BATCHES, Fitted, Group, fit_group, pick
 from bssrdf.fit.choose import Announce, ModelName, tabulated
 from bssrdf.fit.curves import bucket_of
 from bssrdf.fit.kernel import Constraint, Task
-from bssrdf.fit.model_error import model_errors, sensitivities
+from bssrdf.fit.model_error import chi2_by_g, model_errors, sensitivities
 from bssrdf.fit.result import Job, channel_fit
 from bssrdf.fit.spot import matters
 from bssrdf.session.records import ChannelFit, Slice
@@ -22,6 +22,8 @@ from bssrdf.transport.precision import scoped_x64
 
 OTHER_G = (0.0, 0.35, 0.6, 0.8, 0.9)
 """Tried where a curve does not fit: does another g?"""
+MUCH_BETTER = 0.3
+"""Of χ²: below this share another g is more likely than the one given."""
 
 
 @dataclass(frozen=True)
@@ -50,9 +52,8 @@ def fit_slices(
     raises InputError where the options ask for what a slice does not hold. `announce` is told the seconds that a table
     will take which has to be made first.
     """
-    jobs = [Job(at, piece, channel) for at, piece in enumerate(slices) for channel in piece.channels]
     fits: dict[tuple[int, str], ChannelFit] = {}
-    for fitted in _chosen(jobs, options, announce):
+    for fitted in fit_batches(slices, options, announce):
         fits |= {(job.at, job.channel): result for job, result in zip(fitted.jobs, _results(fitted), strict=True)}
     return [{channel: fits[at, channel] for channel in piece.channels} for at, piece in enumerate(slices)]
 
@@ -62,8 +63,9 @@ def fit_slice(piece: Slice, options: FitOptions = DEFAULT) -> dict[str, ChannelF
     return fit_slices([piece], options)[0]
 
 
-def _chosen(jobs: Sequence[Job], options: FitOptions, announce: Announce | None) -> Iterator[Fitted]:
+def fit_batches(slices: Sequence[Slice], options: FitOptions, announce: Announce | None) -> Iterator[Fitted]:
     """Batches by the model asked for; with auto the dipole's, less those that the table fits better."""
+    jobs = [Job(at, piece, channel) for at, piece in enumerate(slices) for channel in piece.channels]
     if options.model != "auto":
         yield from _batches(jobs, options.model, options, announce)
         return
@@ -114,6 +116,13 @@ def _results(fitted: Fitted) -> list[ChannelFit]:
         channel_fit(fitted.group, job, pick(fitted.judged, row), fitted.profiles.get(row), errors[row], slopes[row])
         for row, job in enumerate(fitted.jobs)
     ]
+    poor = [row for row, result in enumerate(results) if "poor_fit" in result.flags]
+    if fitted.group.model == "mc" and poor and tabulated(fitted.group.eta, fitted.group.g):
+        own = fitted.judged.chi2 * fitted.judged.solution.counts.sum(axis=1)
+        better = chi2_by_g(fitted, OTHER_G).min(axis=0) < MUCH_BETTER * own
+        for row in poor:
+            if better[row]:
+                results[row] = replace(results[row], flags=(*results[row].flags, "g_suspect"))
     return results
 
 

@@ -8,7 +8,8 @@ import json
 from collections.abc import Sequence
 from typing import Any, Literal
 
-from bssrdf.session.records import Fit
+from bssrdf.report.repeats import combine
+from bssrdf.session.records import ChannelFit, Fit
 from bssrdf.transport.materials import load_materials, table_check, table_source
 
 Format = Literal["md", "csv", "json", "latex"]
@@ -38,26 +39,34 @@ def published_table(form: Format) -> str:
 
 
 def fits_table(fits: Sequence[Fit], form: Format) -> str:
-    """One row a channel of each fit."""
-    rows: list[Row] = [
-        {
-            "material": fit.material or fit.input_path,
-            "channel": name,
-            "sigma_sp_per_mm": _digits(channel.sigma_sp_per_mm),
-            "sigma_sp_sd_per_mm": _digits(channel.sigma_sp_sd_per_mm, 2),
-            "sigma_a_per_mm": _digits(channel.sigma_a_per_mm),
-            "sigma_a_sd_per_mm": _digits(channel.sigma_a_sd_per_mm, 2),
-            "eta": fit.eta,
-            "g": fit.g,
-            "r": _digits(channel.total_r_model),
-            "model": channel.model,
-            "status": channel.status,
-            "flags": " ".join(channel.flags),
-        }
-        for fit in fits
-        for name, channel in fit.channels.items()
-    ]
-    return format_rows(rows, form)
+    """One row a channel of each material; repeats are combined, and `inflation` says how far they disagree."""
+    groups: dict[tuple[str, str, float, float | None], list[ChannelFit]] = {}
+    for fit in fits:
+        for name, channel in fit.channels.items():
+            groups.setdefault((fit.material or fit.input_path, name, fit.eta, fit.g), []).append(channel)
+    return format_rows([_fitted_row(*key, channels) for key, channels in groups.items()], form)
+
+
+def _fitted_row(material: str, name: str, eta: float, g: float | None, channels: Sequence[ChannelFit]) -> Row:
+    sigma_sp = combine([c.sigma_sp_per_mm for c in channels], [c.sigma_sp_sd_per_mm for c in channels])
+    sigma_a = combine([c.sigma_a_per_mm for c in channels], [c.sigma_a_sd_per_mm for c in channels])
+    return {
+        "material": material,
+        "channel": name,
+        "sigma_sp_per_mm": _digits(sigma_sp.mean),
+        "sigma_sp_sd_per_mm": _digits(sigma_sp.sd, 2),
+        "sigma_a_per_mm": _digits(sigma_a.mean),
+        "sigma_a_sd_per_mm": _digits(sigma_a.sd, 2),
+        "n": len(channels),
+        "inflation_sigma_sp": _digits(sigma_sp.inflation, 3),
+        "inflation_sigma_a": _digits(sigma_a.inflation, 3),
+        "eta": eta,
+        "g": g,
+        "r": _digits(sum(c.total_r_model for c in channels) / len(channels)),
+        "model": " ".join(sorted({c.model for c in channels})),
+        "status": " ".join(sorted({c.status for c in channels})),
+        "flags": " ".join(sorted({flag for c in channels for flag in c.flags})),
+    }
 
 
 def format_rows(rows: Sequence[Row], form: Format, note: str = "") -> str:

@@ -13,6 +13,7 @@ import pytest
 from bssrdf.fit.flags import MEANING
 from bssrdf.report.fit_text import fit_text
 from bssrdf.report.progress import stages, steps
+from bssrdf.report.repeats import combine
 from bssrdf.report.table import fits_table, format_rows
 from bssrdf.session.records import ChannelFit, Fit
 
@@ -104,3 +105,25 @@ def test_progress_goes_to_stderr(capsys: pytest.CaptureFixture[str]) -> None:
     with steps(quiet=False) as step:
         step("merge", 1, 2)
     assert capsys.readouterr().out == ""
+
+
+def test_repeats_are_one_row_whose_error_grows_where_they_disagree() -> None:
+    def repeat(sigma_sp: float) -> Fit:
+        return replace(FIT, channels={"R": replace(CHANNEL, sigma_sp_per_mm=sigma_sp)})
+
+    (agree,) = json.loads(fits_table([repeat(2.18), repeat(2.20)], "json"))
+    (disagree,) = json.loads(fits_table([repeat(2.0), repeat(2.4)], "json"))
+    assert agree["n"] == disagree["n"] == 2
+    assert agree["sigma_sp_per_mm"] == pytest.approx(2.19)
+    assert disagree["sigma_sp_per_mm"] == pytest.approx(2.2)
+    assert agree["inflation_sigma_sp"] == 1
+    assert agree["sigma_sp_sd_per_mm"] == pytest.approx(0.02 / 2**0.5, rel=0.02)
+    assert disagree["inflation_sigma_sp"] == pytest.approx(0.2 * 2**0.5 / 0.02, rel=0.01)
+    assert disagree["sigma_sp_sd_per_mm"] == pytest.approx(0.2, rel=0.01)
+
+
+def test_repeats_without_errors_are_averaged_and_their_spread_is_the_error() -> None:
+    combined = combine([1.0, 3.0, math.nan], [math.nan, math.nan, math.nan])
+    assert (combined.n, combined.mean) == (2, 2.0)
+    assert combined.sd == pytest.approx(1.0)
+    assert combine([], []).n == 0
