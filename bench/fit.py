@@ -139,7 +139,9 @@ def _first(problem: Problem, rows: int) -> Problem:
 
 
 def _ours(name: str, constraint: Constraint, problem: Problem) -> Answer:
-    task = Task(constraint, scale_free=False, binned=False, errors_known=True, blurred=False, robust=False)
+    task = Task(
+        constraint, scale_free=False, binned=False, errors_known=True, blurred=False, camera=False, robust=False
+    )
     model = WholeDipole(jnp.asarray(ETA)) if name == "dipole" else model_of("mc", ETA, 0.0)
     batch, n = problem.rd.shape
     extra = ((0, 0), (0, bucket_of(n) - n))
@@ -152,6 +154,7 @@ def _ours(name: str, constraint: Constraint, problem: Problem) -> Answer:
         total_r=jnp.asarray(problem.total_r),
         total_r_sd=jnp.asarray(problem.total_r_sd),
         window=jnp.asarray(np.tile([0.0, np.inf], (batch, 1))),
+        cos_view=jnp.ones(batch),
         spot_radius=jnp.zeros(batch),
         n=jnp.full(batch, n),
     )

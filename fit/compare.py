@@ -36,8 +36,8 @@ def bias_batch(task: Task, fitted: ForwardModel, truth: ForwardModel, data: Curv
 
     def one(data: Curves, solution: Solution) -> Refit:
         point = solution.point._replace(q=jnp.clip(solution.point.q, 0, truth.q_max))
-        made = curve(truth, point, data.r_lo, data.r_hi, task.binned) * solution.blur
-        light = data._replace(rd=made, total_r=total(truth, point.q))
+        made = curve(truth, point, data.r_lo, data.r_hi, task.binned) * solution.seen
+        light = data._replace(rd=made, total_r=total(truth, point.q) * solution.total_seen)
         return _refit(task, fitted, light, solution)
 
     return jax.vmap(one)(data, solution)
@@ -46,7 +46,7 @@ def bias_batch(task: Task, fitted: ForwardModel, truth: ForwardModel, data: Curv
 def _refit(task: Task, model: ForwardModel, data: Curves, solution: Solution) -> Refit:
     point: Parameters = solution.point
     if task.constraint == "exact":
-        point = point._replace(q=q_of_total(model, data.total_r))
+        point = point._replace(q=q_of_total(model, data.total_r / solution.total_seen))
     found = optimise(task, model, data, solution._replace(point=point))
     misfit = residual(task, model, data, found).value
     sigma_a, sigma_sp = coefficients(jnp.stack([found.point.log_sigma_tp, found.point.q]))

@@ -33,6 +33,8 @@ class Curves(NamedTuple):
     total_r_sd: Float[Array, " b"]
     window: Float[Array, "b 2"]
     """Radii that may be used at all [mm]."""
+    cos_view: Float[Array, " b"]
+    """Of the camera's angle to the normal."""
     spot_radius: Float[Array, " b"]
     """1/e² radius of the spot [mm]; 0 where it is not known."""
     n: Int[Array, " b"]
@@ -92,6 +94,7 @@ def _row(
         "total_r": np.asarray(piece.total_r.get(name, np.nan) / factor),
         "total_r_sd": np.asarray(piece.total_r_sd.get(name, np.nan) / factor),
         "window": np.asarray(_window(piece, window_mm)),
+        "cos_view": np.asarray(np.cos(np.radians(piece.view_angle_deg))),
         "spot_radius": np.asarray(piece.spot_radius_mm or 0.0),
         "n": np.asarray(n),
     }

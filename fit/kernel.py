@@ -11,11 +11,20 @@ from jaxtyping import Array, Bool, Float
 
 from bssrdf.fit import gauss_newton
 from bssrdf.fit.curves import Curves
-from bssrdf.fit.predict import Parameters, Scalar, curve, curve_with_slopes, q_of_total, total, total_slope
+from bssrdf.fit.predict import (
+    Parameters,
+    Scalar,
+    curve,
+    curve_with_slopes,
+    medium_of,
+    q_of_total,
+    total,
+    total_slope,
+)
 from bssrdf.fit.scan import start
 from bssrdf.fit.spot import blur
 from bssrdf.fit.window import counts
-from bssrdf.transport.forward import ForwardModel
+from bssrdf.transport.forward import DipoleModel, ForwardModel
 
 Constraint = Literal["exact", "soft", "none"]
 Vector = Float[Array, " p"]
@@ -35,6 +44,8 @@ class Task(NamedTuple):
     errors_known: bool
     blurred: bool
     """Whether the spot is wide enough to matter."""
+    camera: bool
+    """Whether a camera at an angle saw the light, so that the model's own exit law counts."""
     robust: bool
     """Huber's loss in place of squares."""
 
@@ -56,8 +67,10 @@ class Solution(NamedTuple):
     point: Parameters
     counts: Float[Array, " n"]
     weight: Float[Array, " n"]
-    blur: Float[Array, " n"]
-    """Curve seen through the spot over that of a narrow beam."""
+    seen: Float[Array, " n"]
+    """What spot and exit angle make of the curve: seen over narrow beam and Fresnel's exit law."""
+    total_seen: Scalar
+    """The same of the total, which the spot does not change."""
     converged: Bool[Array, ""]
 
 
@@ -98,7 +111,7 @@ def solve(task: Task, model: ForwardModel, data: Curves) -> Solution:
     def refit(_: int, last: Solution) -> Solution:
         return optimise(task, model, data, _reweighted(task, model, data, known, last))
 
-    first = Solution(point, known, known, jnp.ones_like(known), jnp.asarray(True))
+    first = Solution(point, known, known, jnp.ones_like(known), jnp.ones_like(data.total_r), jnp.asarray(True))
     return jax.lax.fori_loop(0, ROBUST_PASSES if task.robust else PASSES, refit, first)
 
 
@@ -116,15 +129,25 @@ def optimise(task: Task, model: ForwardModel, data: Curves, begin: Solution) -> 
 def _reweighted(task: Task, model: ForwardModel, data: Curves, known: Float[Array, " n"], last: Solution) -> Solution:
     """Window, spot and weights as the last point has them."""
     inside = counts(model, last.point.log_sigma_tp, data.r_lo, data.r_hi, known, data.window)
-    centre = (data.r_lo + data.r_hi) / 2
-    widened = blur(model, last.point, centre, data.spot_radius) if task.blurred else last.blur
-    expected = curve(model, last.point, data.r_lo, data.r_hi, task.binned) * widened
+    point = last.point
+    centre = jnp.maximum((data.r_lo + data.r_hi) / 2, jnp.finfo(known.dtype).eps)
+    seen, total_seen = last.seen, last.total_seen
+    if task.camera:
+        medium = medium_of(model, point)
+        law = DipoleModel(model.eta).total_radiance_factor(medium, data.cos_view)
+        seen = model.radiance_factor(medium, centre, data.cos_view) / law
+        total_seen = model.total_radiance_factor(medium, data.cos_view) / law
+        if task.constraint == "exact":
+            point = point._replace(q=q_of_total(model, data.total_r / total_seen))
+    if task.blurred:
+        seen = seen * blur(model, point, centre, data.spot_radius)
+    expected = curve(model, point, data.r_lo, data.r_hi, task.binned) * seen
     weight = inside * _weight(task, model, known, expected)
     if task.robust:
         distance = jnp.abs(data.rd - expected) * weight
         scatter = 1.0 if task.errors_known else _median(distance, inside) / 0.6745
         weight = weight * jnp.sqrt(jnp.minimum(1, HUBER * scatter / jnp.maximum(distance, 1e-12)))
-    return last._replace(counts=inside, blur=widened, weight=weight)
+    return last._replace(point=point, counts=inside, seen=seen, total_seen=total_seen, weight=weight)
 
 
 def _median(values: Float[Array, " n"], inside: Float[Array, " n"]) -> Scalar:
@@ -149,7 +172,7 @@ def residual(task: Task, model: ForwardModel, data: Curves, at: Solution) -> Res
     """
     point, used = at.point, at.weight > 0
     narrow = curve_with_slopes(model, point, data.r_lo, data.r_hi, task.binned)
-    expected, by_log_sigma, by_q = (each * at.blur for each in narrow)
+    expected, by_log_sigma, by_q = (each * at.seen for each in narrow)
     by_log_mm = -2 * data.rd - (by_log_sigma - 2 * expected)
     columns = [data.rd - expected, -by_log_sigma, -by_q, -expected, data.rd, by_log_mm]
     value, by_log_sigma, by_q, by_factor, by_log_scale, by_log_mm = (
@@ -163,7 +186,7 @@ def residual(task: Task, model: ForwardModel, data: Curves, at: Solution) -> Res
     all_columns = [value, *rows, by_q, by_log_scale, by_log_mm]
     if task.constraint == "soft":
         slope = -total_slope(model, point.q) / data.total_r_sd
-        gap = (data.total_r - total(model, point.q)) / data.total_r_sd
+        gap = (data.total_r / at.total_seen - total(model, point.q)) / data.total_r_sd
         common = data.total_r / data.total_r_sd
         zero = jnp.zeros_like(gap)
         last = [gap, zero, slope, *([zero] if task.scale_free else []), slope, common, zero]

@@ -138,6 +138,7 @@ def _task(job: Job, options: FitOptions) -> Task:
         binned=channel.r_lo_mm is not None,
         errors_known=known,
         blurred=matters(job.piece.spot_radius_mm or 0.0, channel.r_mm, relative_sd),
+        camera=job.piece.exit == "fresnel",
         robust=options.robust,
     )
 

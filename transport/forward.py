@@ -8,10 +8,12 @@ from __future__ import annotations
 
 from typing import NamedTuple, Protocol, runtime_checkable
 
+import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from bssrdf.transport import dipole
 from bssrdf.transport.dipole import Medium
+from bssrdf.transport.fresnel import exit_norm, fresnel_t
 from bssrdf.transport.precision import Real
 
 
@@ -56,6 +58,14 @@ class ForwardModel(Protocol):
         """Total diffuse reflectance."""
         ...
 
+    def radiance_factor(self, medium: Medium, r: Real, mu: Real) -> Float[Array, "..."]:
+        """π L/R_d at radius r towards the outside cosine `mu`: 1 for a Lambertian surface."""
+        ...
+
+    def total_radiance_factor(self, medium: Medium, mu: Real) -> Float[Array, "..."]:
+        """π L/R over the whole surface towards the outside cosine `mu`."""
+        ...
+
 
 class DipoleModel(NamedTuple):
     """The paper's dipole. It holds where light has been scattered a few times: from one mean free path on."""
@@ -86,3 +96,10 @@ class DipoleModel(NamedTuple):
 
     def total(self, medium: Medium) -> Float[Array, "..."]:
         return dipole.total_r(medium)
+
+    def radiance_factor(self, medium: Medium, r: Real, mu: Real) -> Float[Array, "..."]:
+        """Ft/C at every radius: the paper's exit law, normalised."""
+        return jnp.broadcast_to(self.total_radiance_factor(medium, mu), jnp.shape(r))
+
+    def total_radiance_factor(self, medium: Medium, mu: Real) -> Float[Array, "..."]:
+        return fresnel_t(medium.eta, mu) / exit_norm(medium.eta)
