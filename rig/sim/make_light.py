@@ -16,7 +16,7 @@ from bssrdf.session.atomic import atomic_write
 from bssrdf.transport.materials import load_materials
 
 VIEW_ANGLE_DEG = 45.0
-PHOTONS = 8_000_000
+PHOTONS = 100_000_000
 STEPS = 2e9
 """Collisions spent on one medium at most."""
 SEED = 20011
