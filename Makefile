@@ -8,7 +8,7 @@ demo: .venv/installed
 	$(BIN)/bssrdf demo --out $(OUT) --force
 
 test: .venv/installed
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest -n 2 --dist loadfile
 
 slow: .venv/installed
 	$(BIN)/python -m pytest -m slow
