@@ -23,7 +23,7 @@ SEED = 20011
 
 
 def make_light(path: Path, steps: float = STEPS) -> None:
-    """Walk every medium of the table and write the file; about 10 minutes on two idle cores."""
+    """Walk every medium of the table and write the file; about 40 minutes on two idle cores."""
     units = {light_key(unit, VIEW_ANGLE_DEG): unit for unit in _units()}
     beyond = []
     for number, (key, unit) in enumerate(units.items()):
