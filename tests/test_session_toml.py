@@ -81,7 +81,7 @@ def test_template_is_a_session_and_every_commented_key_too(tmp_path: Path) -> No
 
     document = re.sub(r"(?m)^# (?=\w+ = )", "", (tmp_path / "new" / "session.toml").read_text())
     for name, (_, checks) in TABLES.items():
-        if name != "distortion":
+        if name not in ("distortion", "colour"):  # written by `bssrdf calibrate` alone
             for key, value in (table := tomllib.loads(document)[name]).items():
                 checks[key](value)
             assert set(table) == set(checks)
