@@ -19,7 +19,7 @@ from bssrdf.errors import InputError
 from bssrdf.transport.discrete_ordinates import decay_constant
 from bssrdf.transport.exit_radiance import MAX_ANGLE_DEG, N_MU, angle_weights
 from bssrdf.transport.parallel import Progress, run_all
-from bssrdf.transport.photon import stream_states
+from bssrdf.transport.photon import CACHE_LINES, stream_states
 from bssrdf.transport.walk import walk
 
 Floats = NDArray[np.float64]
@@ -194,7 +194,7 @@ def _batch(
     sigma_t = medium.sigma_t
     scores = np.zeros((2, 3, edges_mm.size, N_MU))
     paths = np.zeros((2, edges_mm.size))
-    counts = np.zeros(3)
+    counts = np.zeros(CACHE_LINES)[:3]
     depth = math.inf if medium.thickness_mm is None else medium.thickness_mm * sigma_t
     for start in range(0, n_photons, CHUNK):
         if stop.is_set():

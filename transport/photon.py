@@ -12,10 +12,16 @@ State = NDArray[np.uint64]
 """Four words of xoshiro256+, changed in place by each draw."""
 
 
+CACHE_LINES = 32
+"""Words from one stream's state to the next: threads that write to one cache line would wait for each other."""
+
+
 def stream_states(seed: int, n_streams: int, *key: int) -> NDArray[np.uint64]:
     """Independent generator states of shape (n_streams, 4), the same for one seed and key on every machine."""
     children = np.random.SeedSequence(seed, spawn_key=key).spawn(n_streams)
-    return np.stack([child.generate_state(4, np.uint64) for child in children]).astype(np.uint64)
+    states = np.zeros((n_streams, CACHE_LINES), np.uint64)
+    states[:, :4] = [child.generate_state(4, np.uint64) for child in children]
+    return states[:, :4]
 
 
 @njit(inline="always")
