@@ -75,6 +75,7 @@ def measure_slice(
     totals: dict[str, float] = {}
     totals_sd: dict[str, float] = {}
     lost: dict[str, float] = {}
+    scale_rel_sd = [0.0]
     for channel in sample.channels:
         if reference.is_saturated(channel):
             continue
@@ -84,13 +85,14 @@ def measure_slice(
         profiles = {0: back.profile} if options.radial else slice_profiles(sample, channel, spots[0], options.band_mm)
         channels[channel] = channel_slice(profiles, back.floor, per_light)
         lost[channel] = back.lost_fraction
+        common = _common_errors(back, incident, timing, exposures)
+        if session.beam.kind == "laser":
+            radius_mm = session.beam.spot_radius_mm or spot_radius_mm(reference, spots[1])
+            common.append(speckle_rel_sd(radius_mm, channel, geometry.view_angle_deg))
+        scale_rel_sd.append(float(np.linalg.norm(common)))
         if not sample.is_saturated(channel):
             totals[channel] = back.light * per_light
-            relative = _relative_errors(back, incident, timing, exposures)
-            if session.beam.kind == "laser":
-                radius_mm = session.beam.spot_radius_mm or spot_radius_mm(reference, spots[1])
-                relative.append(speckle_rel_sd(radius_mm, channel, geometry.view_angle_deg))
-            totals_sd[channel] = totals[channel] * float(np.linalg.norm(relative))
+            totals_sd[channel] = totals[channel] * float(np.hypot(back.sd / back.light, scale_rel_sd[-1]))
         raised = {
             "light_lost": max(back.lost_fraction, incident.lost_fraction) > _MUCH_LOST,
             "slice_radial_disagree": not options.radial and any(_disagree(p, back.profile) for p in profiles.values()),
@@ -111,7 +113,7 @@ def measure_slice(
         g=material.g,
         spot_radius_mm=session.beam.spot_radius_mm,
         lost_fraction=lost,
-        scale_rel_sd=_scale_rel_sd(tile),
+        scale_rel_sd=float(np.hypot(max(scale_rel_sd), _tile_rel_sd(tile))),
         mm_rel_sd=geometry.mm_per_px_rel_sd,
         flags=tuple(dict.fromkeys(flags)),
     )
@@ -137,14 +139,13 @@ def _image_flags(session: Session, sample: Image, reference: Image, spots: tuple
     return [flag for flag, is_raised in raised.items() if is_raised]
 
 
-def _relative_errors(back: Total, incident: Total, timing: Mapping[str, Timing], exposures: Exposures) -> list[float]:
-    """Independent relative errors of the ratio of two totals."""
+def _common_errors(back: Total, incident: Total, timing: Mapping[str, Timing], exposures: Exposures) -> list[float]:
+    """Independent relative errors of what the beam carries, as it is compared with the sample: of curve and total."""
     sample, reference = (
         exposure_shares(total.light_by_count, timing[kind].labels_s, timing[kind].seconds) if kind in timing else {}
         for kind, total in (("sample", back), ("reference", incident))
     )
     return [
-        back.sd / back.light,
         incident.sd / incident.light,
         exposures_rel_sd(sample, reference, exposures),
         *(kind.flux_rel_sd for kind in timing.values()),
@@ -176,7 +177,7 @@ def reflectance_of(tile: Reference, channel: str, session: Session, image: Image
     )
 
 
-def _scale_rel_sd(tile: Reference) -> float:
+def _tile_rel_sd(tile: Reference) -> float:
     """Largest relative error of the tile's reflectance over the channels."""
     if tile.reflectance_sd is None:
         return 0.0

@@ -21,6 +21,8 @@ _GROWTH = 0.04
 """A bin is this fraction of its radius wide, or one step of the channel's grid."""
 _REJECT_SD = 6.0
 _PASSES = 2
+_SHAPE_REL_SD = 0.08
+"""What the smooth curve is off by in a bin of one pixel over which it falls by a factor of e."""
 _FAR_FOOTPRINTS = 30
 _NODES = np.polynomial.legendre.leggauss(3)
 
@@ -56,15 +58,18 @@ class Profile:
 
 
 class Curve:
-    """Smooth monotone interpolation of a profile: through ln f where f is well above its error, linear elsewhere."""
+    """Smooth monotone interpolation of a profile: through ln f where f is well above its error, linear elsewhere.
+
+    Within the innermost bin ln f is a parabola about the centre, as an even function has it.
+    """
 
     def __init__(self, profile: Profile) -> None:
         r, value = profile.r, profile.value
         clear = value > 5 * profile.sd
         n = len(r) if clear.all() else int(np.argmin(clear))
         self._far = PchipInterpolator(r, value, extrapolate=True) if len(r) > 1 else None
-        self._near = PchipInterpolator(r[:n], np.log(value[:n]), extrapolate=True) if n > 1 else None
-        self._first, self._last = r[0], profile.r_hi[-1]
+        self._near = _near_the_centre(r[:n], np.log(value[:n])) if n > 1 else None
+        self._first, self._last = 0.0 if self._near else r[0], profile.r_hi[-1]
         self._switch = -1.0 if n == 0 else self._last if n == len(r) else r[n - 1]
         self._constant = value[0]
 
@@ -75,6 +80,14 @@ class Curve:
         if self._near is None:
             return self._far(r)
         return np.where(r <= self._switch, np.exp(self._near(np.minimum(r, self._switch))), self._far(r))
+
+
+def _near_the_centre(r: Array, log_value: Array) -> PchipInterpolator:
+    """Interpolation of ln f that goes on to r = 0, and there has no slope."""
+    bend = (log_value[0] - log_value[1]) / (r[1] ** 2 - r[0] ** 2)
+    peak = log_value[0] + bend * r[0] ** 2
+    inner = r[0] * np.array([0.0, 0.5])
+    return PchipInterpolator(np.append(inner, r), np.append(peak - bend * inner**2, log_value), extrapolate=True)
 
 
 def bin_edges(step: float, r_max: float) -> Array:
@@ -90,19 +103,20 @@ def profile(points: Points, edges: Array, footprint: tuple[float, float], band: 
 
     `footprint` is the width of a pixel across and along; `band` the full width of the slice along the view, None for
     the whole image. Pixels that stand out of their bin (dust, glints) are left out. The error is the larger of that
-    of the merge and that of the scatter.
+    of the merge and that of the scatter, and what the curve's shape is not known by where it is steep and pixels few.
     """
     r = np.hypot(points.across, points.along)
     points, r = Points(*(field[r < edges[-1]] for field in points)), r[r < edges[-1]]
     index = np.searchsorted(edges, r, side="right") - 1
     weight = _density_weight(r, band)
     everything = np.ones(len(r), bool)
-    out = _bins(points, edges, index, weight, np.ones(len(r)), np.ones(len(edges) - 1), everything)
+    flat = np.ones(len(edges) - 1)
+    out = _bins(points, edges, index, weight, np.ones(len(r)), flat, 0 * flat, everything)
     for _ in range(_PASSES):
         curve = Curve(out)
         model = _footprint_mean(curve, points, footprint)
         keep = _not_outlying(points, model, index, len(edges) - 1)
-        out = _bins(points, edges, index, weight, model, _annulus_mean(curve, edges), keep)
+        out = _bins(points, edges, index, weight, model, _annulus_mean(curve, edges), _steepness(curve, edges), keep)
     return out
 
 
@@ -120,6 +134,7 @@ def _bins(
     weight: Array,
     model: Array,
     bin_model: Array,
+    steepness: Array,
     keep: NDArray[np.bool_],
 ) -> Profile:
     n_bins = len(edges) - 1
@@ -135,13 +150,14 @@ def _bins(
         merge_sd = np.sqrt(total(weight**2 * points.variance)) * np.abs(share)
         residual = points.value - ratio[index] * model
         scatter_sd = np.sqrt(total((weight * residual) ** 2) * n / np.maximum(n - 1, 1)) * np.abs(share)
+        shape_sd = _SHAPE_REL_SD * np.abs(value) * (steepness / n) ** 2
     scatter_sd[n < 3] = np.nan
     used = n > 0
     return Profile(
         edges[:-1][used],
         edges[1:][used],
         value[used],
-        np.fmax(merge_sd, scatter_sd)[used],
+        np.hypot(np.fmax(merge_sd, scatter_sd), shape_sd)[used],
         n[used],
         int((~keep).sum()),
     )
@@ -168,6 +184,13 @@ def _annulus_mean(curve: Curve, edges: Array) -> Array:
     lo, hi = edges[:-1, None], edges[1:, None]
     r = (hi + lo) / 2 + (hi - lo) / 2 * nodes
     return (curve(r) * r * weights).sum(1) / (r * weights).sum(1)
+
+
+def _steepness(curve: Curve, edges: Array) -> Array:
+    """|ln| of the curve's ratio over a bin or the next, whichever is larger; 0 where the curve is not above 0."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        drop = np.nan_to_num(np.abs(np.diff(np.log(np.maximum(curve(edges), 0)))), posinf=0.0)
+    return np.maximum(drop, np.append(drop[1:], 0.0))
 
 
 def _not_outlying(points: Points, model: Array, index: NDArray[np.int64], n_bins: int) -> NDArray[np.bool_]:

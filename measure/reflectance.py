@@ -26,6 +26,8 @@ from bssrdf.session.records import Array, ChannelSlice
 _BAND_PX = 10
 _OUTLINE_STEPS = 200
 _GLARE_PASSES = 2
+_BEYOND_REL_SD = 0.02
+"""How far the form of the tail is right where no pixel tells it, as a share of the light there."""
 _SPOT_SD_PX = 3.0
 _SPOT_REACH_PX = 60
 _RING_POINTS = 200
@@ -167,10 +169,10 @@ def total_light(
     if fit is None:
         return Total(inside, float(np.sqrt(variance)), 0.0, Estimate(0.0, 0.0), curve, by_count)
     outside = fit.estimate(outside_of)
+    beyond = fit.tail.beyond(outline)
     light = inside + outside.value
-    sd = float(np.sqrt(variance + outside.sd**2))
-    lost = fit.tail.beyond(outline) / light
-    return Total(light, sd, lost, fit.estimate(lambda tail: tail.floor), curve, by_count)
+    sd = float(np.sqrt(variance + outside.sd**2 + (_BEYOND_REL_SD * beyond) ** 2))
+    return Total(light, sd, beyond / light, fit.estimate(lambda tail: tail.floor), curve, by_count)
 
 
 def _points(image: Image, channel: str, spot: Spot) -> Points:
