@@ -1,0 +1,207 @@
+"""The steps of a path: what is met, which lobe goes on, the light that reaches it, and the next ray.
+
+At a translucent surface one term is drawn, in proportion to what it brings: diffusion goes on from the point where the
+light entered, single scattering from inside, the specular reflection as from any surface. Each takes light by light
+sampling and by its own direction, weighed by the balance heuristic, so all light enters, the indirect included.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+
+from bssrdf.render.lobes import Bounce, Diffusion, Lobe, Ordinary, Specular, Vertex
+from bssrdf.render.medium import Media
+from bssrdf.render.probes import SMALLEST, size_of
+from bssrdf.render.sampling import Law, reach
+from bssrdf.render.single import LocalSingle, Single, single_share
+
+TERMS = ("diffusion", "single", "specular")
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What the integrator was asked for."""
+
+    terms: tuple[str, ...] = TERMS
+    law: Law = "exact"
+    local: bool = False
+    """The BRDF of section 2.4: light leaves where it entered."""
+    paper: bool = False
+    """As printed: no 1/C in the exit lobe, no 1/η² in the local single scattering."""
+    max_depth: int = 1 << 24
+    rr_depth: int = 5
+    max_probe_hits: int = 8
+    hide_emitters: bool = False
+
+
+@dataclass
+class Path:
+    """A path so far, and the ray that continues it."""
+
+    ray: Any
+    radiance: Any
+    throughput: Any
+    depth: Any
+    last: Any
+    """The point that the ray comes from, as light sampling saw it."""
+    last_pdf: Any
+    last_delta: Any
+    seen: Any
+    """Did the camera's ray meet a surface?"""
+    active: Any
+
+
+class Tracer:
+    """What one scene and one set of settings have in common for all steps."""
+
+    def __init__(self, scene: Any, settings: Settings) -> None:
+        self.scene = scene
+        self.settings = settings
+        self.media = Media(scene)
+        delta = [bool(int(emitter.flags()) & int(mi.EmitterFlags.Delta)) for emitter in scene.emitters()]
+        self._lit = bool(delta)
+        self._hittable = not all(delta)
+        """Is there light that a ray can meet by chance?"""
+
+    def start(self, ray: Any, active: Any) -> Path:
+        """Paths before their first surface."""
+        return Path(
+            ray=mi.Ray3f(ray),
+            radiance=mi.Spectrum(0),
+            throughput=mi.Spectrum(1),
+            depth=mi.UInt32(0),
+            last=dr.zeros(mi.Interaction3f),
+            last_pdf=mi.Float(1),
+            last_delta=mi.Bool(True),
+            seen=mi.Bool(False),
+            active=mi.Bool(active),
+        )
+
+    def step(self, path: Path, sampler: Any) -> Path:
+        """Go to the next surface, add its light, and draw the ray after it."""
+        si = self.scene.ray_intersect(path.ray, +mi.RayFlags.All, path.depth == 0, path.active)
+        radiance = path.radiance
+        if self._hittable:
+            radiance = radiance + self._emitted(path, si)
+        active = path.active & si.is_valid() & (path.depth + 1 < self.settings.max_depth)
+        lobes, throughput = self._lobes(path, si, sampler, active)
+        if self._lit:
+            radiance = radiance + throughput * self._direct(lobes, sampler)
+        seen = path.seen | ((path.depth == 0) & si.is_valid())
+        return self._continued(path, radiance, throughput, lobes, seen, sampler)
+
+    def _emitted(self, path: Path, si: Any) -> Any:
+        """Light of a surface or surrounding that the ray met, weighed against light sampling."""
+        ds = mi.DirectionSample3f(self.scene, si, path.last)
+        active = path.active & (path.depth > 0) if self.settings.hide_emitters else path.active
+        pdf = self.scene.pdf_emitter_direction(path.last, ds, active & ~path.last_delta)
+        share = dr.select(path.last_delta, 1, path.last_pdf / dr.maximum(path.last_pdf + pdf, 1e-30))
+        return dr.select(active, path.throughput * share * ds.emitter.eval(si, active), 0)
+
+    def _lobes(self, path: Path, si: Any, sampler: Any, active: Any) -> tuple[list[Lobe], Any]:
+        """The lobes of all surfaces met, one of them active in a lane, and the throughput with their chance."""
+        row, translucent = self.media.row(si, active)
+        optics = self.media.optics(si, row, translucent)
+        outgoing = -path.ray.d
+        side = dr.select(dr.dot(si.n, outgoing) < 0, mi.Float(-1), mi.Float(1))
+        normal = self.media.normal(si, row, translucent) * side
+        vertex = Vertex(si, path.ray, outgoing, normal, side, optics, path.throughput)
+        lobes: list[Lobe] = [Ordinary(vertex, active & ~translucent)] if self.media.others else []
+        cos_o = dr.dot(normal, outgoing)
+        translucent &= cos_o > 0
+        transmitted = self.media.transmittance(optics, cos_o)
+        chances = self._chances(vertex, transmitted)
+        u = sampler.next_1d(translucent)
+        throughput = mi.Spectrum(path.throughput)
+        below = mi.Float(0)
+        for term in self.settings.terms:
+            chosen = translucent & (u >= below) & (u < below + chances[term])
+            below += chances[term]
+            made = self._of_term(term, vertex, sampler, chosen)
+            exit_lobe = transmitted / (1 if self.settings.paper else optics.exit_norm) if term == "diffusion" else 1
+            factor = exit_lobe / dr.maximum(chances[term], 1e-12)
+            throughput = dr.select(chosen, throughput * factor, throughput)
+            lobes += made
+        return lobes, throughput
+
+    def _chances(self, vertex: Vertex, transmitted: Any) -> dict[str, Any]:
+        """How the terms asked for share the paths: in proportion to what each brings under even light."""
+        optics, throughput = vertex.optics, vertex.throughput
+        norm = 1 if self.settings.paper else optics.exit_norm
+        brings = {
+            "diffusion": transmitted / norm * dr.max(throughput * optics.dipole().total()),
+            "single": transmitted * dr.max(throughput * single_share(optics)),
+            "specular": (1 - transmitted) * dr.max(throughput),
+        }
+        asked = {term: brings[term] for term in self.settings.terms}
+        total = dr.maximum(sum(asked.values()), 1e-30)
+        return {term: value / total for term, value in asked.items()}
+
+    def _of_term(self, term: str, vertex: Vertex, sampler: Any, active: Any) -> list[Lobe]:
+        settings, media, scene = self.settings, self.media, self.scene
+        if term == "specular":
+            return [Specular(media, vertex, active)]
+        smallest = SMALLEST * size_of(vertex.si.p)
+        if term == "diffusion":
+            local = settings.local or dr.max(reach(vertex.optics.dipole())) < smallest
+            return [Diffusion(scene, sampler, media, vertex, settings.law, settings.max_probe_hits, local, active)]
+        if settings.local:
+            return [LocalSingle(media, vertex, settings.paper, active)]
+        local = dr.min(vertex.optics.sigma_t()) * smallest > 1
+        return [
+            Single(scene, sampler, media, vertex, active & ~local),
+            LocalSingle(media, vertex, settings.paper, active & local),
+        ]
+
+    def _direct(self, lobes: list[Lobe], sampler: Any) -> Any:
+        """Light sampling, from each lane's own lobe."""
+        active, ref = mi.Bool(False), dr.zeros(mi.Interaction3f)
+        for lobe in lobes:
+            active |= lobe.active
+            ref = dr.select(lobe.active, interaction(lobe.ref), ref)
+        ds, arriving = self.scene.sample_emitter_direction(ref, sampler.next_2d(active), False, active)
+        active &= ds.pdf > 0
+        value, pdf, origin = mi.Spectrum(0), mi.Float(0), ref
+        for lobe in lobes:
+            light = lobe.light(ds)
+            value = dr.select(lobe.active, light.value, value)
+            pdf = dr.select(lobe.active, light.pdf, pdf)
+            origin = dr.select(lobe.active, interaction(light.origin), origin)
+        active &= dr.max(value) > 0
+        active &= ~self.scene.ray_test(origin.spawn_ray_to(ds.p), active)
+        share = dr.select(ds.delta, 1, ds.pdf / (ds.pdf + pdf))
+        return dr.select(active, value * arriving * share, 0)
+
+    def _continued(
+        self, path: Path, radiance: Any, throughput: Any, lobes: list[Lobe], seen: Any, sampler: Any
+    ) -> Path:
+        """The path with its next ray, ended by Russian roulette where it brings little."""
+        active = mi.Bool(False)
+        drawn = Bounce(mi.Vector3f(0, 0, 1), mi.Spectrum(0), mi.Float(1), mi.Bool(False), dr.zeros(mi.Interaction3f))
+        last = dr.zeros(mi.Interaction3f)
+        for lobe in lobes:
+            active |= lobe.active
+            bounce = lobe.bounce(sampler)
+            bounce.origin, bounce.direction = interaction(bounce.origin), mi.Vector3f(bounce.direction)
+            drawn = dr.select(lobe.active, bounce, drawn)
+            last = dr.select(lobe.active, interaction(lobe.ref), last)
+        throughput = throughput * drawn.weight
+        depth = path.depth + 1
+        largest = dr.max(throughput)
+        active &= largest > 0
+        if not self._hittable:
+            active &= depth + 1 < self.settings.max_depth
+        survival = dr.select(depth >= self.settings.rr_depth, dr.minimum(largest, 0.95), 1)
+        active &= sampler.next_1d(active) < survival
+        throughput = throughput / dr.maximum(survival, 1e-12)
+        ray = drawn.origin.spawn_ray(drawn.direction)
+        return Path(ray, radiance, throughput, depth, last, drawn.pdf, drawn.delta, seen, active)
+
+
+def interaction(si: Any) -> Any:
+    """The point of a surface interaction alone."""
+    return mi.Interaction3f(si.t, si.time, si.wavelengths, si.p, si.n)
