@@ -12,6 +12,7 @@ import click
 from bssrdf import __version__
 from bssrdf.cli_bench import bench
 from bssrdf.cli_calibrate import calibrate
+from bssrdf.cli_render import compare, doctor, render
 from bssrdf.console import BAD_INPUT, Group, is_quiet, keep_compiled, run, warn
 from bssrdf.errors import BssrdfError, UsageError
 
@@ -319,6 +320,9 @@ def validate(fit_path: Path, out: Path | None, force: bool) -> None:
 
 
 cli.add_command(calibrate)
+cli.add_command(render)
+cli.add_command(compare)
+cli.add_command(doctor)
 cli.add_command(bench)
 
 

@@ -118,3 +118,18 @@ def write_exr(path: Path, parts: Sequence[tuple[str, NDArray[np.float32]]], attr
         closed = file.close()
     if not (done and closed):
         raise InputError(f"{path}: cannot be written ({file.geterror() or oiio.geterror()}); choose another place")
+
+
+def write_png(path: Path, pixels: NDArray[np.uint8], attributes: dict[str, str]) -> None:
+    """Write 8-bit sRGB pixels (h, w, 3) with text attributes."""
+    height, width, channels = pixels.shape
+    spec = oiio.ImageSpec(width, height, channels, "uint8")
+    for key, value in attributes.items():
+        spec.attribute(key, value)
+    file: Any = oiio.ImageOutput.create("png")
+    try:
+        done = file.open(str(path), spec) and file.write_image(np.ascontiguousarray(pixels))
+    finally:
+        closed = file.close()
+    if not (done and closed):
+        raise InputError(f"{path}: cannot be written ({file.geterror() or oiio.geterror()}); choose another place")

@@ -1,0 +1,219 @@
+"""`bssrdf render`, `bssrdf compare` and `bssrdf doctor`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import click
+
+from bssrdf import __version__
+from bssrdf.console import Command, is_quiet, warn
+from bssrdf.errors import UsageError
+
+if TYPE_CHECKING:
+    from bssrdf.render.plugins import Model, Options
+    from bssrdf.render.scenes.record import Scene
+
+Decorated = TypeVar("Decorated", bound=Callable[..., Any])
+FILE = click.Path(path_type=Path)
+_OPTIONS = (
+    click.option("--material", metavar="NAME_OR_FIT", help="A published material, Marble-half, or a fit.json."),
+    click.option("--g", type=float, help="Mean cosine of the phase function, at the same σs′."),
+    click.option("--mesh", type=FILE, help="bust, face: this figure (PLY, OBJ), z up and looking along −y."),
+    click.option("--height-mm", type=float, help="Height that the mesh is scaled to; in mm as it is if not given."),
+    click.option("--light", type=click.Choice(["beam", "edge", "sky"]), help="slab: what it lies under."),
+    click.option("--texture", "texture_path", type=FILE, help="texture: image that scales the albedo."),
+    click.option("--roughness", type=click.FloatRange(0, 1), default=0.0, help="Of GGX microfacets; 0 is polished."),
+    click.option("--width", "width_px", type=click.IntRange(1, 16384), help="Pixels across."),
+    click.option("--samples", type=click.IntRange(2), default=64, show_default=True, help="Samples a pixel."),
+    click.option("--mc-depth", type=click.IntRange(2), default=1000, show_default=True, help="mc: most scatterings."),
+    click.option("--seed", type=click.IntRange(0, 10_000), default=0, show_default=True),
+    click.option(
+        "--sampling", type=click.Choice(["exact", "exponential"]), default="exact", help="How bssrdf draws radii."
+    ),
+    click.option("--paper", is_flag=True, help="The exit Fresnel factor as printed, without its normalisation."),
+    click.option("--force", is_flag=True, help="Replace what stands at the output."),
+)
+
+
+def _scene_options(command: Decorated) -> Decorated:
+    for option in reversed(_OPTIONS):
+        command = option(command)
+    return command
+
+
+@click.command(cls=Command)
+@click.argument("scene", metavar="SCENE")
+@click.option(
+    "--model", type=click.Choice(["auto", "brdf", "bssrdf", "mc"]), default="auto", show_default=True, help="How."
+)
+@click.option("--terms", metavar="LIST", help="Of diffusion,single,specular: those to show, and what they overlap by.")
+@click.option("--explain", is_flag=True, help="Say how --model auto chooses, and what it chose.")
+@click.option("--out", type=FILE, metavar="STEM", help="STEM.exr and STEM.png are written; SCENE if not given.")
+@_scene_options
+def render(
+    scene: str, model: str, terms: str | None, explain: bool, out: Path | None, samples: int, seed: int, **given: Any
+) -> None:
+    """Render SCENE: slab, block, bust, milk, face, texture, or a Mitsuba .xml file."""
+    from bssrdf.render.picture import render as render_picture
+    from bssrdf.render.picture import write_pictures
+    from bssrdf.report.progress import steps
+
+    stem = out or Path(Path(scene).stem)
+    _refuse([stem.with_name(f"{stem.name}.{kind}") for kind in ("exr", "png")], given.pop("force"))
+    options = _options(given, terms)
+    subject = _subject(scene, given)
+    options = _with_model(subject, options, model, explain)
+    if terms is not None or explain:
+        _say_overlap(subject)
+    with steps(quiet=is_quiet()) as progress:
+        picture = render_picture(subject, options, samples=samples, seed=seed, progress=progress)
+    for path in write_pictures(stem, picture, _provenance(scene, subject, options, samples, seed)):
+        click.echo(str(path))
+    click.echo(
+        f"{options.model}: {picture.samples} samples a pixel, {picture.seconds:.1f} s + {picture.compile_s:.1f} s"
+    )
+
+
+@click.command(cls=Command)
+@click.argument("scene", metavar="SCENE")
+@click.option("--mc-samples", type=click.IntRange(2), help="Samples a pixel of mc; as many as the others if not given.")
+@click.option("--out", type=FILE, metavar="FOLDER", help="Folder for the pictures; SCENE-compare if not given.")
+@_scene_options
+def compare(scene: str, out: Path | None, samples: int, mc_samples: int | None, seed: int, **given: Any) -> None:
+    """Render SCENE by brdf, bssrdf and mc: pictures side by side, their difference, errors and times."""
+    from bssrdf.render.check import mc_refusal
+    from bssrdf.render.compare import compare as compare_models
+    from bssrdf.render.compare import scores_text, write_comparison
+    from bssrdf.report.progress import steps
+    from bssrdf.session.atomic import replace_folder
+
+    folder = out or Path(f"{Path(scene).stem}-compare")
+    _refuse([folder], given.pop("force"))
+    options = _options(given, None)
+    subject = _subject(scene, given)
+    refusal = "a .xml file holds no medium for mc" if isinstance(subject, Path) else mc_refusal(subject)
+    if refusal:
+        warn(f"{refusal}: bssrdf is the reference")
+    models: tuple[Model, ...] = ("brdf", "bssrdf") if refusal else ("brdf", "bssrdf", "mc")
+    with steps(quiet=is_quiet()) as progress:
+        pictures, scores = compare_models(
+            subject, options, models, samples=samples, mc_samples=mc_samples or samples, seed=seed, progress=progress
+        )
+    with replace_folder(folder) as part:
+        write_comparison(part, pictures, scores, _provenance(scene, subject, options, samples, seed))
+    click.echo(f"{scores_text(scores)}\n{folder}")
+
+
+@click.command(cls=Command)
+def doctor() -> None:
+    """What is installed and usable: libraries, libLLVM, GPU, serial ports and cameras."""
+    from bssrdf.report.doctor import doctor_text, examine
+    from bssrdf.report.progress import stages
+
+    with stages("looking", quiet=is_quiet()):
+        findings = examine()
+    click.echo(doctor_text(findings))
+
+
+def _refuse(paths: list[Path], force: bool) -> None:
+    for path in paths:
+        if path.exists() and not force:
+            raise UsageError(f"{path} exists already; choose another --out, or replace it with --force")
+        if not path.parent.is_dir():
+            raise UsageError(f"{path.parent} is not a folder; make it first, or choose another --out")
+
+
+def _options(given: dict[str, Any], terms: str | None) -> Options:
+    from bssrdf.render.plugins import TERMS, Options
+
+    wanted = TERMS if terms is None else tuple(term.strip() for term in terms.split(","))
+    for term in wanted:
+        if term not in TERMS:
+            raise UsageError(f'term "{term}" is not one of {", ".join(TERMS)}')
+    return Options(
+        terms=wanted, sampling=given.pop("sampling"), paper=given.pop("paper"), mc_depth=given.pop("mc_depth")
+    )
+
+
+def _subject(scene: str, given: dict[str, Any]) -> Scene | Path:
+    """A scene of ours with what can be wrong about it said, or the path of a Mitsuba file."""
+    from bssrdf.render.check import remarks
+    from bssrdf.render.scenes.catalogue import build_scene
+
+    if scene.endswith(".xml"):
+        extra = [name for name, value in given.items() if value]
+        if extra:
+            raise UsageError(f"{scene} describes itself; leave out --{extra[0].replace('_', '-')}")
+        return Path(scene)
+    mesh, height_mm = given["mesh"], given["height_mm"]
+    if height_mm is not None and mesh is None:
+        raise UsageError("--height-mm scales a --mesh; give one")
+    own = {"light": given["light"], "texture_path": given["texture_path"], "mesh": _mesh(mesh, height_mm)}
+    named = {name: given[name] for name in ("material", "g", "roughness", "width_px")}
+    built = build_scene(scene, **named, own=own)
+    for remark in remarks(built):
+        warn(remark)
+    return built
+
+
+def _mesh(path: Path | None, height_mm: float | None) -> Any:
+    if path is None:
+        return None
+    from bssrdf.render.mesh_file import read_mesh
+
+    mesh, remarks = read_mesh(path, height_mm=height_mm)
+    for remark in remarks:
+        warn(remark)
+    return mesh
+
+
+def _with_model(subject: Scene | Path, options: Options, model: str, explain: bool) -> Options:
+    """The options with the model that was asked for, or that `auto` chooses."""
+    from dataclasses import replace
+
+    from bssrdf.render.check import mc_refusal
+    from bssrdf.render.choose import RULE, Choice, choose
+
+    chosen: Any = model
+    if isinstance(subject, Path):
+        if model == "mc":
+            raise UsageError(f"{subject}: --model mc needs a scene of ours; give the file a volpathmis and use mitsuba")
+        chosen = "bssrdf" if model == "auto" else model
+    elif model == "auto":
+        choice: Choice = choose(subject)
+        chosen = choice.model
+        click.echo(
+            f"{RULE}\nchosen: {choice.model} ({choice.reason})" if explain else f"auto: {choice.model}", err=True
+        )
+    elif model == "mc" and (refusal := mc_refusal(subject)):
+        raise UsageError(f"{refusal}; use --roughness 0.3, another light, or --model bssrdf")
+    if chosen == "mc" and len(options.terms) < 3:
+        raise UsageError("mc has no terms to show apart; use --model bssrdf or brdf with --terms")
+    return replace(options, model=chosen)
+
+
+def _say_overlap(subject: Scene | Path) -> None:
+    from bssrdf.render.overlap import overlap_text
+
+    if not isinstance(subject, Path):
+        for material in dict.fromkeys(body.material for body in subject.bodies.values()):
+            click.echo(overlap_text(material), err=True)
+
+
+def _provenance(scene: str, subject: Scene | Path, options: Options, samples: int, seed: int) -> dict[str, Any]:
+    """What made the picture, for its file."""
+    from dataclasses import asdict
+    from importlib.metadata import version
+
+    from bssrdf.session.atomic import sha256_of
+
+    facts: dict[str, Any] = {"software": f"bssrdf {__version__}, mitsuba {version('mitsuba')}", "scene": scene}
+    if isinstance(subject, Path):
+        facts["sha256"] = sha256_of(subject)
+    else:
+        facts["materials"] = {name: asdict(body.material) for name, body in subject.bodies.items()}
+        facts["camera"] = asdict(subject.camera)
+    return facts | {"options": asdict(options), "samples": samples, "seed": seed}

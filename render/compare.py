@@ -1,0 +1,144 @@
+"""One scene by every model: pictures side by side, their difference, errors and times."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bssrdf.render.picture import Picture, Pixels, Progress, exposure, render, shown, write_pictures
+from bssrdf.render.plugins import Model, Options
+from bssrdf.render.scenes.record import Scene
+from bssrdf.session.atomic import atomic_write
+
+EPSILON = 0.01
+"""Of the reference's mean square, in the denominator of relMSE."""
+_NOISIEST = 1.0
+"""Range of the difference's colour scale, relative to the reference."""
+
+
+@dataclass(frozen=True)
+class Score:
+    """A picture against the reference, over the pixels that the reference lights."""
+
+    model: Model
+    samples: int
+    seconds: float
+    compile_s: float
+    mean: float
+    mean_ratio: float
+    mean_ratio_se: float
+    rel_mse: float
+    """Noise of both pictures included."""
+    rel_mse_bias: float
+    """Less the noise that their variances account for; may come out below 0."""
+
+
+def compare(
+    scene: Scene | Path,
+    options: Options,
+    models: tuple[Model, ...],
+    *,
+    samples: int,
+    mc_samples: int,
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> tuple[dict[Model, Picture], list[Score]]:
+    """Render by each model, and score against the last one, which is the reference."""
+    pictures: dict[Model, Picture] = {}
+    for model in models:
+        count = mc_samples if model == "mc" else samples
+        pictures[model] = render(scene, replace(options, model=model), samples=count, seed=seed, progress=progress)
+    reference = pictures[models[-1]]
+    return pictures, [score(model, picture, reference) for model, picture in pictures.items()]
+
+
+def score(model: Model, picture: Picture, reference: Picture) -> Score:
+    """relMSE with ε = 0.01 mean², and the ratio of the means with its standard error."""
+    mean, target = float(picture.radiance.mean()), float(reference.radiance.mean())
+    same = picture is reference
+    denominator = np.square(reference.radiance) + EPSILON * target**2
+    noise = np.zeros_like(denominator) if same else picture.variance + reference.variance
+    squares = np.square(picture.radiance - reference.radiance)
+    errors = [_relative_se(each) for each in (picture, reference)]
+    ratio = mean / target if target > 0 else math.nan
+    return Score(
+        model,
+        picture.samples,
+        picture.seconds,
+        picture.compile_s,
+        mean,
+        ratio,
+        0.0 if same else ratio * math.hypot(*errors),
+        float((squares / denominator).mean()),
+        float(((squares - noise) / denominator).mean()),
+    )
+
+
+def scores_text(scores: list[Score]) -> str:
+    """A table, one line a model."""
+    lines = [
+        "| model | samples | seconds | compile s | mean | of the reference | relMSE | of it bias |",
+        "|---|--:|--:|--:|--:|--:|--:|--:|",
+    ]
+    lines += [
+        f"| {each.model} | {each.samples} | {each.seconds:.2f} | {each.compile_s:.2f} | {each.mean:.5g} | "
+        f"{each.mean_ratio:.4f} ± {each.mean_ratio_se:.4f} | {each.rel_mse:.4g} | {each.rel_mse_bias:.4g} |"
+        for each in scores
+    ]
+    return "\n".join(lines)
+
+
+def write_comparison(
+    folder: Path, pictures: Mapping[Model, Picture], scores: list[Score], provenance: Mapping[str, Any]
+) -> None:
+    """Fill the folder: a picture of each model as EXR and PNG, compare.png and compare.json."""
+    for model, picture in pictures.items():
+        write_pictures(folder / model, picture, {**provenance, "model": model})
+    draw_comparison(folder / "compare.png", {model: picture.radiance for model, picture in pictures.items()})
+    document = {"provenance": dict(provenance), "scores": [asdict(each) for each in scores]}
+    with atomic_write(folder / "compare.json") as part:
+        part.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
+
+
+def draw_comparison(path: Path, images: Mapping[Model, Pixels]) -> None:
+    """All pictures at the exposure of the last, and under each its relative difference from that one."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    *others, reference = images
+    factor = exposure(images[reference])
+    rows = 2 if others else 1
+    figure = Figure(figsize=(3.2 * len(images), 3.0 * rows), layout="constrained")
+    FigureCanvasAgg(figure)
+    panels = figure.subplots(rows, len(images), squeeze=False)
+    for axes in panels.flat:
+        axes.set_axis_off()
+    for axes, (model, image) in zip(panels[0], images.items(), strict=True):
+        axes.imshow(shown(image, factor))
+        axes.set_title(model)
+    target = images[reference].mean(axis=2)
+    for axes, model in zip(panels[-1], others, strict=False):
+        difference = (images[model].mean(axis=2) - target) / np.sqrt(target**2 + EPSILON * target.mean() ** 2)
+        drawn = axes.imshow(difference, cmap="RdBu_r", vmin=-_NOISIEST, vmax=_NOISIEST)
+        axes.set_title(f"{model} / {reference} − 1")
+    if others:
+        figure.colorbar(drawn, ax=panels[-1], shrink=0.8)
+    _write(figure, path)
+
+
+def _write(figure: Any, path: Path) -> None:
+    save: Callable[..., None] = figure.savefig
+    with atomic_write(path) as part:
+        save(part, dpi=110, format="png")
+
+
+def _relative_se(picture: Picture) -> float:
+    """Of the mean over all pixels, which are independent."""
+    mean = float(picture.radiance.mean())
+    return math.sqrt(float(picture.variance.sum())) / picture.radiance.size / mean if mean > 0 else math.nan

@@ -1,0 +1,99 @@
+"""Meshes from files: PLY, OBJ and Mitsuba's own, as arrays in mm."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from bssrdf.errors import InputError
+from bssrdf.render.mitsuba_errors import cause
+from bssrdf.render.surface_nets import TriangleMesh
+from bssrdf.render.variant import use_variant
+
+FORMATS = {".ply": "ply", ".obj": "obj", ".serialized": "serialized"}
+
+
+class MeshFile(NamedTuple):
+    """A mesh, and what was found wanting in its file."""
+
+    mesh: TriangleMesh
+    remarks: tuple[str, ...]
+
+
+def read_mesh(path: Path, *, height_mm: float | None = None) -> MeshFile:
+    """The mesh in `path`, z up; scaled to a height where one is given, else taken to be in mm.
+
+    Raises InputError where the file is no mesh. Normals are taken from the faces where the file has none.
+    """
+    if path.suffix.lower() not in FORMATS:
+        raise InputError(f"{path}: is no mesh that is read; convert it to {', '.join(FORMATS)}")
+    if not path.is_file():
+        raise InputError(f"{path}: is not there; check the path")
+    if height_mm is not None and not 0 < height_mm < float("inf"):
+        raise InputError(f"height {height_mm:g} mm is not above 0; give the height of the figure")
+    loaded = _load(path)
+    parameters = _parameters(loaded)
+    vertices = np.array(parameters["vertex_positions"], np.float64).reshape(-1, 3)
+    faces = np.array(parameters["faces"], np.uint32).reshape(-1, 3)
+    if len(faces) == 0 or not np.isfinite(vertices).all():
+        raise InputError(
+            f"{path}: has {'no faces' if len(faces) == 0 else 'vertices that are not finite'}; save it anew"
+        )
+    extent = np.ptp(vertices, axis=0)
+    if extent.min() <= 0:
+        raise InputError(f"{path}: is flat; light needs a body to go into")
+    remarks = []
+    normals = np.array(parameters["vertex_normals"], np.float64).reshape(-1, 3)
+    if not _names_normals(path):
+        remarks.append(f"{path}: has no normals; smooth ones were taken from its faces")
+    if len(normals) != len(vertices):
+        normals = face_normals(vertices, faces)
+    scale = 1.0 if height_mm is None else height_mm / extent[2]
+    return MeshFile(TriangleMesh(scale * vertices, normals, _around(vertices), faces), tuple(remarks))
+
+
+def face_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """Normals of the vertices (n, 3): those of the faces around, by area."""
+    corners = vertices[faces]
+    across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals = np.zeros_like(vertices)
+    for corner in range(3):
+        np.add.at(normals, faces[:, corner], across)
+    return np.asarray(normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30))
+
+
+def _load(path: Path) -> Any:
+    use_variant()
+    import mitsuba as mi
+
+    try:
+        return mi.load_dict({"type": FORMATS[path.suffix.lower()], "filename": str(path)})
+    except RuntimeError as error:
+        raise InputError(f"{path}: cannot be read as a mesh ({cause(error)}); save it anew") from error
+
+
+def _parameters(loaded: Any) -> Any:
+    import mitsuba as mi
+
+    return mi.traverse(loaded)
+
+
+def _names_normals(path: Path) -> bool:
+    """Whether the file itself holds vertex normals."""
+    if path.suffix.lower() == ".ply":
+        with path.open("rb") as file:
+            head = file.read(4096)
+        return b"property float nx" in head.split(b"end_header")[0]
+    if path.suffix.lower() == ".obj":
+        return any(line.startswith(b"vn ") for line in path.read_bytes().splitlines())
+    return True
+
+
+def _around(vertices: np.ndarray) -> np.ndarray:
+    """Cylindrical texture coordinates, u around the z axis with its seam at +y, v upwards."""
+    low, high = vertices.min(axis=0), vertices.max(axis=0)
+    x, y = (vertices[:, :2] - (low + high)[:2] / 2).T
+    u = np.arctan2(x, -y) / (2 * np.pi) + 0.5
+    return np.stack([u, (vertices[:, 2] - low[2]) / (high[2] - low[2])], axis=1)

@@ -1,0 +1,123 @@
+"""Renders a scene in passes of their own seeds, which give its noise, and writes pictures as EXR and PNG."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bssrdf.errors import InputError
+from bssrdf.render.mitsuba_errors import cause
+from bssrdf.render.plugins import Options, integrator, scene_dict
+from bssrdf.render.scenes.record import Scene
+from bssrdf.render.variant import use_variant
+from bssrdf.session.atomic import atomic_write
+
+Pixels = NDArray[np.float32]
+Progress = Callable[[str, int, int], None]
+PROVENANCE = "bssrdf:provenance"
+SAMPLES_A_PASS = 8
+_WHITE_POINT = 99.0
+"""Percentile of the lit pixels that comes out just below white."""
+
+
+@dataclass(frozen=True)
+class Picture:
+    """Radiance (h, w, 3) in linear sRGB, and the variance of each value from the scatter of the passes."""
+
+    radiance: Pixels
+    variance: Pixels
+    samples: int
+    """A pixel."""
+    seconds: float
+    """Of all passes, without the compilation that the first one holds."""
+    compile_s: float
+
+
+class Stage(NamedTuple):
+    """A scene that Mitsuba has loaded, and how it is rendered."""
+
+    name: str
+    scene: Any
+    integrator: Any
+
+
+def load_stage(scene: Scene | Path, options: Options) -> Stage:
+    """One of our scenes, or a Mitsuba XML file; InputError where Mitsuba is missing, refuses it, or it has no light."""
+    use_variant()
+    import mitsuba as mi
+
+    from bssrdf.render.integrator import register
+
+    register()
+    name = str(scene) if isinstance(scene, Path) else f"scene {scene.name}"
+    try:
+        loaded = mi.load_file(str(scene)) if isinstance(scene, Path) else mi.load_dict(scene_dict(scene, options))
+        stage = Stage(name, loaded, mi.load_dict(integrator(options)))
+    except RuntimeError as error:
+        raise InputError(f"{name}: {cause(error)}") from error
+    if not loaded.emitters():
+        raise InputError(f"{name}: has no light; add an emitter")
+    return stage
+
+
+def render(
+    scene: Scene | Path, options: Options, *, samples: int, seed: int = 0, progress: Progress | None = None
+) -> Picture:
+    """Render the scene with `samples` a pixel, in at least two passes."""
+    stage = load_stage(scene, options)
+    size = max(1, min(SAMPLES_A_PASS, samples // 2))
+    passes = max(2, round(samples / size))
+    images, times = [], []
+    for number in range(passes):
+        if progress is not None:
+            progress(f"{stage.name}, {options.model}", number, passes)
+        began = time.perf_counter()
+        images.append(render_pass(stage, size, seed * 100_003 + number))
+        times.append(time.perf_counter() - began)
+    compile_s = max(0.0, times[0] - float(np.median(times[1:])))
+    stack = np.stack(images)
+    variance = stack.var(axis=0, ddof=1) / passes
+    return Picture(stack.mean(axis=0), variance, size * passes, sum(times) - compile_s, compile_s)
+
+
+def render_pass(stage: Stage, samples: int, seed: int) -> Pixels:
+    """One image (h, w, 3)."""
+    import mitsuba as mi
+
+    image = mi.render(stage.scene, integrator=stage.integrator, spp=samples, seed=seed)
+    return np.array(image, dtype=np.float32)[..., :3]
+
+
+def exposure(radiance: Pixels) -> float:
+    """Factor that brings the bright parts of a picture just below white."""
+    luminance = radiance @ np.array([0.2126, 0.7152, 0.0722], np.float32)
+    lit = luminance[luminance > 1e-3 * max(float(luminance.max()), 1e-30)]
+    return 0.8 / float(np.percentile(lit, _WHITE_POINT)) if lit.size else 1.0
+
+
+def shown(radiance: Pixels, factor: float) -> NDArray[np.uint8]:
+    """8-bit sRGB of linear radiance times a factor."""
+    linear = np.clip(np.nan_to_num(radiance) * factor, 0, 1)
+    encoded = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
+    return np.asarray(np.round(255 * encoded), dtype=np.uint8)
+
+
+def write_pictures(stem: Path, picture: Picture, provenance: Mapping[str, Any]) -> tuple[Path, Path]:
+    """Write stem.exr, parts `radiance` and `variance`, and stem.png to look at; both hold the provenance."""
+    from bssrdf.session.oiio_file import write_exr, write_png
+
+    exr, png = stem.with_name(stem.name + ".exr"), stem.with_name(stem.name + ".png")
+    attributes = {PROVENANCE: json.dumps(provenance)}
+    with atomic_write(exr) as part:
+        write_exr(part, [("radiance", picture.radiance), ("variance", picture.variance)], attributes)
+    factor = exposure(picture.radiance)
+    with atomic_write(png) as part:
+        write_png(part, shown(picture.radiance, factor), {PROVENANCE: json.dumps({**provenance, "exposure": factor})})
+    return exr, png

@@ -1,0 +1,95 @@
+"""Flat-sided scenes: a slab under several lights, a cube in a laser beam, a tile whose coefficients vary."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bssrdf.errors import InputError, UsageError
+from bssrdf.render.material import RenderMaterial
+from bssrdf.render.scenes.place import SKY, beam, box, box_size, panel, sky, table
+from bssrdf.render.scenes.record import Body, Camera, Maps, Plugin, Scene
+
+LIGHTS = ("beam", "edge", SKY)
+BEAM_RADIUS_MM = 0.25
+BLOCK_MM = 40.0
+"""The paper's cube."""
+TILE_MM = 60.0
+_MAP_PX = 256
+_VEINS_SEED = 5
+
+
+def slab(
+    material: RenderMaterial, *, light: str = "beam", side_mm: float = 60.0, thickness_mm: float = 30.0, **look: Any
+) -> Scene:
+    """A slab seen from straight above, under a narrow `beam`, an even `sky`, or a panel that ends in an `edge`."""
+    sides = (side_mm, side_mm, thickness_mm)
+    body = Body(box((-side_mm / 2, -side_mm / 2, -thickness_mm), sides), material, box_size(sides), **look)
+    camera = Camera((0.0, 0.0, 100.0), (0.0, 0.0, 0.0), up=(0.0, 1.0, 0.0), width_mm=side_mm / 3)
+    return Scene("slab", {"slab": body}, _slab_light(light, side_mm), camera, narrow_light=light == "beam")
+
+
+def _slab_light(light: str, side_mm: float) -> dict[str, Plugin]:
+    if light == "beam":
+        return {"beam": beam((0.0, 0.0, 1.0), (0.0, 0.0, 0.0), BEAM_RADIUS_MM, flux=1.0)}
+    if light == SKY:
+        return {SKY: sky(1.0)}
+    if light == "edge":  # low over the half x > 0, its back to the camera
+        x, height = side_mm / 4, side_mm / 100
+        return {"panel": panel((x, 0.0, height), (x, 0.0, 0.0), (side_mm / 2, side_mm / 4), radiance=1.0)}
+    raise UsageError(f'light "{light}" is not one of {", ".join(LIGHTS)}')
+
+
+def block(material: RenderMaterial, **look: Any) -> Scene:
+    """The paper's Fig. 8: a cube, and a beam that enters it beside an edge."""
+    side = BLOCK_MM
+    sides = (side, side, side)
+    body = Body(box((-side / 2, -side / 2, 0.0), sides), material, box_size(sides), **look)
+    spot = (-side / 2 + 6.0, -side / 2, side - 9.0)
+    lights = {"laser": beam((100.0, -1000.0, 300.0), spot, 0.8, flux=100.0), SKY: sky(0.015)}
+    camera = Camera((-75.0, -105.0, 75.0), (-2.0, -2.0, 18.0), fov_deg=26.0)
+    return Scene("block", {"block": body}, lights, camera, {"table": table(0.25)}, narrow_light=True)
+
+
+def texture(material: RenderMaterial, *, texture_path: Path | None = None, **look: Any) -> Scene:
+    """A tile whose albedo an image scales, or veins without one; lit from low on one side."""
+    maps = _maps(material, _image(texture_path) if texture_path else _veins())
+    sides = (TILE_MM, TILE_MM, 12.0)
+    body = Body(box((-TILE_MM / 2, -TILE_MM / 2, 0.0), sides), material, box_size(sides), maps=maps, **look)
+    lights = {"panel": panel((-70.0, 30.0, 60.0), (0.0, 0.0, 0.0), (25.0, 25.0), radiance=9.0), SKY: sky(0.2)}
+    camera = Camera((0.0, -90.0, 110.0), (0.0, 0.0, 6.0), fov_deg=30.0)
+    return Scene("texture", {"tile": body}, lights, camera, {"table": table(0.3)})
+
+
+def _maps(material: RenderMaterial, tone: NDArray[np.float32]) -> Maps:
+    """Coefficients at the material's 1/σt′, absorbing more where `tone` (h, w, 3), from 0 to 1, is dark."""
+    sigma_a, sigma_sp = np.array(material.sigma_a), np.array(material.sigma_sp)
+    moved = np.square(1 - np.clip(tone, 0, 1)) * sigma_sp / 4
+    return Maps((sigma_a + moved).astype(np.float32), (sigma_sp - moved).astype(np.float32))
+
+
+def _image(path: Path) -> NDArray[np.float32]:
+    """An image file as values from 0 to 1, shape (h, w, 3)."""
+    from bssrdf.session.oiio_file import read_image
+
+    if not path.is_file():
+        raise InputError(f"{path}: there is no such texture; check the path, or leave --texture out for veins")
+    data = read_image(path).data
+    scale = float(np.iinfo(data.dtype).max) if np.issubdtype(data.dtype, np.integer) else 1.0
+    values = (data[..., :3] if data.shape[2] >= 3 else data[..., :1]).astype(np.float32) / scale
+    return np.broadcast_to(values, (*values.shape[:2], 3))
+
+
+def _veins() -> NDArray[np.float32]:
+    """Dark veins on white, the same at every run."""
+    rng = np.random.default_rng(_VEINS_SEED)
+    x, y = np.meshgrid(np.linspace(0, 1, _MAP_PX), np.linspace(0, 1, _MAP_PX))
+    warp = np.zeros_like(x)
+    for octave in range(1, 5):
+        kx, ky = rng.normal(0, 2.0**octave / 2, 2)
+        warp += 0.6**octave * np.sin(2 * np.pi * (kx * x + ky * y + rng.uniform()))
+    dark = np.exp(-np.square(np.sin(3 * np.pi * (x + 0.6 * y + 0.5 * warp)) / 0.15))
+    return (1 - dark[..., None] * [0.8, 0.9, 1.0]).astype(np.float32)
