@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 
 from bssrdf.render.surface_nets import Points, TriangleMesh, surface_net
 
+Vector = tuple[float, float, float]
+
 LOW, HIGH = np.array([-0.37, -0.30, -0.03]), np.array([0.37, 0.28, 1.03])
 _BLEND = 0.035
 
@@ -57,19 +59,19 @@ def head_distance(points: Points) -> NDArray[np.float64]:
     """Signed distance, about, of points (n, 3) from the figure of height 1; negative inside."""
     mirrored = points * [-1, 1, 1]
     side = np.where(points[:, :1] < 0, mirrored, points)
-    body = _ellipsoid(points, *_ELLIPSOIDS[0][1:])
+    body = _ellipsoid(points, _ELLIPSOIDS[0][1], _ELLIPSOIDS[0][2])
     for _, centre, axes in _ELLIPSOIDS[1:]:
         body = _join(body, _ellipsoid(points, centre, axes), _BLEND)
-    for name, *ends_and_radii in _CAPSULES:
-        body = _join(body, _capsule(points, *ends_and_radii), _LID if "lip" in name else _BLEND)
-    for name, *ends_and_radii in _PAIRS:
-        body = _join(body, _capsule(side, *ends_and_radii), 0.012 if name == "ear" else 0.020)
-    body = -_join(-body, _ellipsoid(side, _SOCKET[0], (_SOCKET[1],) * 3), 0.02)
-    body = _join(body, _ellipsoid(side, _EYE[0], (_EYE[1],) * 3), _LID)
+    for name, start, end, r_start, r_end in _CAPSULES:
+        body = _join(body, _capsule(points, start, end, r_start, r_end), _LID if "lip" in name else _BLEND)
+    for name, start, end, r_start, r_end in _PAIRS:
+        body = _join(body, _capsule(side, start, end, r_start, r_end), 0.012 if name == "ear" else 0.020)
+    body = -_join(-body, _ellipsoid(side, _SOCKET[0], (_SOCKET[1], _SOCKET[1], _SOCKET[1])), 0.02)
+    body = _join(body, _ellipsoid(side, _EYE[0], (_EYE[1], _EYE[1], _EYE[1])), _LID)
     return -_join(-body, points[:, 2], 0.01)
 
 
-def _ellipsoid(points: Points, centre: Points, axes: Points) -> NDArray[np.float64]:
+def _ellipsoid(points: Points, centre: Vector, axes: Vector) -> NDArray[np.float64]:
     """Distance to first order."""
     offset = points - np.asarray(centre)
     inner = np.linalg.norm(offset / np.asarray(axes), axis=1)
@@ -77,7 +79,7 @@ def _ellipsoid(points: Points, centre: Points, axes: Points) -> NDArray[np.float
     return inner * (inner - 1) / np.maximum(steepness, 1e-9)
 
 
-def _capsule(points: Points, start: Points, end: Points, r_start: float, r_end: float) -> NDArray[np.float64]:
+def _capsule(points: Points, start: Vector, end: Vector, r_start: float, r_end: float) -> NDArray[np.float64]:
     axis = np.subtract(end, start)
     offset = points - np.asarray(start)
     along = np.clip(offset @ axis / (axis @ axis), 0, 1)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from bssrdf.render.surface_nets import Points, TriangleMesh
@@ -31,7 +33,7 @@ def turned(profile: Points, *, sides: int = 128) -> TriangleMesh:
     return TriangleMesh(vertices, normals, uv, _ring_faces(len(profile) - 2, sides))
 
 
-def _with_poles(rings: Points, bottom: Points, top: Points) -> Points:
+def _with_poles(rings: Points, bottom: Sequence[float], top: Sequence[float]) -> Points:
     return np.concatenate([[bottom], rings.reshape(-1, 3), [top]]).astype(np.float64)
 
 

@@ -6,6 +6,7 @@ Lengths in mm, coefficients in 1/mm; scenes are in mm too.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -96,6 +97,6 @@ def medium_of_fit(fit: Fit, *, g: float | None = None) -> RenderMaterial:
     )
 
 
-def _rgb(values: object) -> Rgb:
-    red, green, blue = values  # type: ignore[misc]
+def _rgb(values: Iterable[float]) -> Rgb:
+    red, green, blue = values
     return (red, green, blue)

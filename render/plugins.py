@@ -38,7 +38,7 @@ class Options:
 def scene_dict(scene: Scene, options: Options) -> dict[str, Any]:
     """What `mitsuba.load_dict` takes; bodies, lights and camera are named as in the scene."""
     bodies = {name: _body(body, options) for name, body in scene.bodies.items()}
-    things = {name: _plain(thing) for name, thing in (scene.furniture | scene.lights).items()}
+    things = {name: _plain(thing) for name, thing in [*scene.furniture.items(), *scene.lights.items()]}
     return {"type": "scene", "integrator": integrator(options), "sensor": _sensor(scene.camera), **bodies, **things}
 
 

@@ -50,7 +50,7 @@ def _sampled(distance: Distance, axes: list[NDArray[np.float64]], spacing: float
     """The distance on the grid; where the surface is a block of the grid or more away, that of a point nearby."""
     coarse = np.stack(np.meshgrid(*(axis[_BLOCK // 2 :: _BLOCK] for axis in axes), indexing="ij"), axis=-1)
     rough = distance(coarse.reshape(-1, 3)).reshape(coarse.shape[:3])
-    nearest = np.ix_(*(np.minimum(np.arange(len(a)) // _BLOCK, n - 1) for a, n in zip(axes, rough.shape, strict=True)))
+    nearest = np.ix_(*(np.minimum(np.arange(len(axes[i])) // _BLOCK, rough.shape[i] - 1) for i in range(3)))
     values = rough[nearest]
     near = np.abs(values) < 2 * _BLOCK * spacing
     values[near] = distance(np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)[near])

@@ -72,8 +72,8 @@ def beam(origin: Vector, target: Vector, radius_mm: float, flux: float) -> Plugi
 
 def box(low: Vector, sides: Vector) -> Plugin:
     """A box from its lowest corner; its texture coordinates run over each side."""
-    half = tuple(side / 2 for side in sides)
-    return {"type": "cube", "to_world": moved(tuple(np.add(low, half)), half)}
+    x, y, z = (side / 2 for side in sides)
+    return {"type": "cube", "to_world": moved((low[0] + x, low[1] + y, low[2] + z), (x, y, z))}
 
 
 def box_size(sides: Vector) -> float:
