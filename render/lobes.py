@@ -5,7 +5,6 @@ All are masked lanes of one wavefront. Directions point away from the surface; d
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -13,8 +12,6 @@ import drjit as dr
 import mitsuba as mi
 
 from bssrdf.render.medium import Media, Optics
-from bssrdf.render.probes import Body, channel_shares, find_entry, rd_between
-from bssrdf.render.sampling import Law
 
 
 @dataclass
@@ -70,6 +67,9 @@ class Lobe(Protocol):
     def bounce(self, sampler: Any) -> Bounce:
         """The path's next direction."""
 
+    def beam(self, sampler: Any) -> Any:
+        """Light that a spot's own ray brings, over its density."""
+
 
 class Ordinary:
     """Any other BSDF of Mitsuba's."""
@@ -94,43 +94,8 @@ class Ordinary:
         delta = mi.has_flag(drawn.sampled_type, mi.BSDFFlags.Delta)
         return Bounce(si.to_world(drawn.wo), weight, drawn.pdf, delta, si)
 
-
-class Diffusion:
-    """Light that entered elsewhere and diffused here: from a probed point, or from the same one where `local`."""
-
-    def __init__(
-        self, scene: Any, sampler: Any, media: Media, vertex: Vertex, law: Law, max_hits: int, local: Any, active: Any
-    ) -> None:
-        si, optics, source = vertex.si, vertex.optics, vertex.optics.dipole()
-        self._media = media
-        if local is True:
-            self.active, self.ref, self._normal, self._optics = active, si, vertex.normal, optics
-            self._weight = source.total()
-            return
-        frame = mi.Frame3f(si.n * vertex.side)
-        body = Body(si, frame, vertex.side, source, channel_shares(vertex.throughput * source.total()))
-        entry = find_entry(scene, sampler, body, law, max_hits, active & ~local)
-        entered = media.optics_at(entry.si, optics, entry.found)
-        outward = mi.Normal3f(entry.si.sh_frame.n) * vertex.side
-        profile = rd_between(entered.dipole(), entry.si.p - si.p, outward)
-        here = active & local
-        self.active = entry.found | here
-        self.ref = dr.select(here, si, entry.si)
-        normal = media.normal(entry.si, optics.row, entry.found) * vertex.side
-        self._normal = dr.select(here, vertex.normal, normal)
-        self._optics = entered
-        self._weight = dr.select(here, source.total(), profile * entry.weight)
-
-    def light(self, ds: Any) -> Light:
-        cos_i = dr.maximum(dr.dot(self._normal, ds.d), 0)
-        pdf = cos_i / math.pi
-        return Light(self._weight * self._media.transmittance(self._optics, cos_i) * pdf, pdf, self.ref)
-
-    def bounce(self, sampler: Any) -> Bounce:
-        local = mi.warp.square_to_cosine_hemisphere(sampler.next_2d(self.active))
-        weight = self._weight * self._media.transmittance(self._optics, local.z)
-        direction = mi.Frame3f(self._normal).to_world(local)
-        return Bounce(direction, weight, local.z / math.pi, mi.Bool(False), self.ref)
+    def beam(self, sampler: Any) -> Any:
+        return 0
 
 
 class Specular:
@@ -172,3 +137,6 @@ class Specular:
         weight = dr.select(self._is_rough, dr.select(toward.z > 0, tilted, 0), weight)
         pdf = dr.select(self._is_rough, pdf / (4 * dr.maximum(cos_half, 1e-6)), 1)
         return Bounce(direction, mi.Spectrum(weight), pdf, ~self._is_rough, self.ref)
+
+    def beam(self, sampler: Any) -> Any:
+        return 0

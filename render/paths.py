@@ -13,11 +13,13 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
-from bssrdf.render.lobes import Bounce, Diffusion, Lobe, Ordinary, Specular, Vertex
+from bssrdf.render.diffusion import Diffusion, LocalDiffusion
+from bssrdf.render.lobes import Bounce, Lobe, Ordinary, Specular, Vertex
 from bssrdf.render.medium import Media
 from bssrdf.render.probes import SMALLEST, size_of
 from bssrdf.render.sampling import Law, reach
 from bssrdf.render.single import LocalSingle, Single, single_share
+from bssrdf.render.spots import Spots
 
 TERMS = ("diffusion", "single", "specular")
 
@@ -62,6 +64,7 @@ class Tracer:
         self.scene = scene
         self.settings = settings
         self.media = Media(scene)
+        self.spots = Spots(scene)
         delta = [bool(int(emitter.flags()) & int(mi.EmitterFlags.Delta)) for emitter in scene.emitters()]
         self._lit = bool(delta)
         self._hittable = not all(delta)
@@ -91,6 +94,8 @@ class Tracer:
         lobes, throughput = self._lobes(path, si, sampler, active)
         if self._lit:
             radiance = radiance + throughput * self._direct(lobes, sampler)
+            for lobe in lobes:
+                radiance = radiance + throughput * lobe.beam(sampler)
         seen = path.seen | ((path.depth == 0) & si.is_valid())
         return self._continued(path, radiance, throughput, lobes, seen, sampler)
 
@@ -147,8 +152,14 @@ class Tracer:
             return [Specular(media, vertex, active)]
         smallest = SMALLEST * size_of(vertex.si.p)
         if term == "diffusion":
-            local = settings.local or dr.max(reach(vertex.optics.dipole())) < smallest
-            return [Diffusion(scene, sampler, media, vertex, settings.law, settings.max_probe_hits, local, active)]
+            if settings.local:
+                return [LocalDiffusion(media, vertex, active)]
+            local = dr.max(reach(vertex.optics.dipole())) < smallest
+            law, hits = settings.law, settings.max_probe_hits
+            return [
+                Diffusion(scene, sampler, media, self.spots, vertex, law, hits, active & ~local),
+                LocalDiffusion(media, vertex, active & local),
+            ]
         if settings.local:
             return [LocalSingle(media, vertex, settings.paper, active)]
         local = dr.min(vertex.optics.sigma_t()) * smallest > 1

@@ -35,6 +35,10 @@ class Body:
     channel_shares: Any
     """Chance of each channel to choose the radius; they add up to 1."""
 
+    def reach(self) -> Any:
+        """How far away an entry may be found."""
+        return dr.max(reach(self.source))
+
 
 @dataclass
 class Entry:
@@ -43,6 +47,8 @@ class Entry:
     si: Any
     weight: Any
     """What R_d is to be multiplied by: one over the density of the point; 0 where none was found."""
+    density: Any
+    """Of such points over the surface."""
     found: Any
 
 
@@ -130,7 +136,7 @@ def find_entry(scene: Any, sampler: Any, body: Body, law: Law, max_hits: int, ac
     chosen &= entry.is_valid()
     density = entry_density(body, entry.p - si.p, entry.n * body.side, law)
     weight = dr.select(chosen, total / dr.maximum(kept * density, 1e-30), 0)
-    return Entry(entry, weight, chosen)
+    return Entry(entry, weight, density, chosen)
 
 
 def _probe(sampler: Any, body: Body, law: Law, active: Any) -> Any:
@@ -149,7 +155,7 @@ def _probe(sampler: Any, body: Body, law: Law, active: Any) -> Any:
     )
     radius = sample_radius(Dipole(albedo_p, sigma_tr, z_r, z_v), u_disk.x, law)
     sin_phi, cos_phi = dr.sincos(2 * math.pi * u_disk.y)
-    farthest = dr.max(reach(source))
+    farthest = body.reach()
     half = dr.sqrt(dr.maximum(farthest * farthest - radius * radius, 0))
     origin = body.si.p + radius * (first * cos_phi + second * sin_phi) + half * axis
     return mi.Ray3f(origin, -axis, 2 * half, body.si.time, body.si.wavelengths)

@@ -21,6 +21,8 @@ LAWS = ("exact", "exponential")
 TAIL = 1e-4
 """Share of the diffusely reflected light beyond the probes' reach, which is left out."""
 
+_FARTHEST = 5e3
+"""Reduced mean free paths: single precision would blur the depth of the source for a longer probe."""
 _LEAST_ARGUMENT = 2.0**-24
 _WIDEST_DECAY = 1e3
 """The exponential is no density at σtr = 0: it falls at least once in so many reduced mean free paths."""
@@ -75,8 +77,8 @@ def radius_density(source: Dipole, r: Value, law: Law) -> Value:
 
 
 def reach(source: Dipole) -> Value:
-    """The radius beyond which lies at most the share TAIL of R."""
-    return _radius(source.sigma_tr, source.z_v, -math.log(TAIL))
+    """The radius beyond which lies at most the share TAIL of R, as far as a probe keeps its digits."""
+    return dr.minimum(_radius(source.sigma_tr, source.z_v, -math.log(TAIL)), _FARTHEST * source.z_r)
 
 
 def _sample_exact(source: Dipole, u: Value) -> Value:

@@ -62,6 +62,9 @@ class Single:
         value = self._weight * dr.exp(-there.sigma_t() * si.t) * self._media.transmittance(there, cos_i)
         return Bounce(outside, dr.select(alive, value, 0), self._density(direction, cos_i, inside), mi.Bool(False), si)
 
+    def beam(self, sampler: Any) -> Any:
+        return 0
+
     def _density(self, direction: Any, cos_i: Any, inside: Any) -> Any:
         """The phase function, over the outside solid angle, for light from `direction` inside."""
         optics = self._vertex.optics
@@ -98,6 +101,9 @@ class LocalSingle:
         direction = mi.Frame3f(self._vertex.normal).to_world(local)
         weight = self._reflectance(direction) * math.pi
         return Bounce(direction, weight, local.z / math.pi, mi.Bool(False), self.ref)
+
+    def beam(self, sampler: Any) -> Any:
+        return 0
 
     def _reflectance(self, incoming: Any) -> Any:
         normal, optics = self._vertex.normal, self._vertex.optics
