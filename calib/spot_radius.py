@@ -1,4 +1,4 @@
-"""The 1/e² radius of the beam's spot: from a knife edge or a thin opaque target, or from the tile. Lengths in mm."""
+"""The 1/e² radius of the beam's spot from a knife edge. Lengths in mm."""
 
 from __future__ import annotations
 
@@ -31,16 +31,3 @@ def knife_edge_radius(position: Array, light: Array) -> float:
 
     start = [middle, np.log(np.ptp(position) / 8), low, high]
     return float(np.exp(least_squares(residual, start).x[1]))
-
-
-def beam_radius(seen_radius: float, spread_radius: float) -> float:
-    """1/e² radius of the beam itself, from that of the spot on a tile and that to which the tile spreads a thin beam.
-
-    Spectralon shows a spot of 0.15 mm as one of 0.23 to 0.28 mm.
-    """
-    if seen_radius <= spread_radius:
-        raise InputError(
-            f"the spot seems {seen_radius:.3g} mm wide on a tile that spreads light by {spread_radius:.3g} mm; "
-            "measure it on a thin opaque target"
-        )
-    return float(np.sqrt(seen_radius**2 - spread_radius**2))

@@ -16,14 +16,14 @@ from bssrdf.measure.profile import Profile
 from bssrdf.measure.reflectance import (
     Image,
     Total,
+    beam_on_tile,
     channel_slice,
     has_second_spot,
     locate,
     slice_profiles,
-    spot_radius_mm,
     total_light,
 )
-from bssrdf.measure.tail import Surroundings
+from bssrdf.measure.tail import Estimate, Surroundings
 from bssrdf.session.records import ChannelSlice, Geometry, Material, Reference, Session, Slice
 
 _TILE_ETA = 1.35
@@ -71,6 +71,8 @@ def measure_slice(
     around = Surroundings(max(material.eta, 1.0), max(material.g or 0.0, 0.0), *angles)
     around_tile = Surroundings(_TILE_ETA, 0.0, *angles)
     flags = _image_flags(session, sample, reference, spots)
+    given_mm = session.beam.spot_radius_mm
+    radius = Estimate(given_mm, 0.0) if given_mm else beam_on_tile(reference, spots[1], geometry.view_angle_deg)
     channels: dict[str, ChannelSlice] = {}
     totals: dict[str, float] = {}
     totals_sd: dict[str, float] = {}
@@ -87,8 +89,7 @@ def measure_slice(
         lost[channel] = back.lost_fraction
         common = _common_errors(back, incident, timing, exposures)
         if session.beam.kind == "laser":
-            radius_mm = session.beam.spot_radius_mm or spot_radius_mm(reference, spots[1])
-            common.append(speckle_rel_sd(radius_mm, channel, geometry.view_angle_deg))
+            common.append(speckle_rel_sd(radius.value, channel, geometry.view_angle_deg))
         scale_rel_sd.append(float(np.linalg.norm(common)))
         if not sample.is_saturated(channel):
             totals[channel] = back.light * per_light
@@ -111,7 +112,8 @@ def measure_slice(
         total_r_sd=totals_sd,
         material=material.name,
         g=material.g,
-        spot_radius_mm=session.beam.spot_radius_mm,
+        spot_radius_mm=radius.value,
+        spot_radius_sd_mm=radius.sd or None,
         lost_fraction=lost,
         scale_rel_sd=float(np.hypot(max(scale_rel_sd), _tile_rel_sd(tile))),
         mm_rel_sd=geometry.mm_per_px_rel_sd,

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from bssrdf.calib.spot import Spot, find_spot
 from bssrdf.calib.surface import Surface
+from bssrdf.calib.tile_spread import beam_radius
 from bssrdf.errors import InputError
 from bssrdf.measure.merge import Hdr
 from bssrdf.measure.pixels import ChannelPixels, mosaic_period, pixels_of
@@ -115,6 +116,23 @@ def spot_radius_mm(image: Image, spot: Spot) -> float:
     column = 0 if image.surface.geometry.view_axis == "y" else 1
     sd_px = float(np.sqrt(spot.covariance_px2[column, column]))
     return 2 * sd_px * _footprint(image, spot)[0]
+
+
+def beam_on_tile(image: Image, spot: Spot, view_angle_deg: float) -> Estimate:
+    """1/e² radius of the beam [mm] from its spot on the tile, less the tile's own spread; the channels' mean."""
+    core, footprint = spot_radius_mm(image, spot), _footprint(image, spot)
+    found = [
+        beam_radius(*_points(image, channel, spot), footprint, core, view_angle_deg)
+        for channel in image.channels
+        if not image.is_saturated(channel)
+    ]
+    if not found:
+        return Estimate(core, core)
+    weights = np.array([each.sd_mm**-2 for each in found])
+    radii = np.array([each.radius_mm for each in found])
+    mean = float(np.average(radii, weights=weights))
+    scatter = float(np.sqrt(np.average((radii - mean) ** 2, weights=weights)))
+    return Estimate(mean, max(scatter, min(each.sd_mm for each in found)))
 
 
 @dataclass(frozen=True)

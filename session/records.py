@@ -172,6 +172,7 @@ class Slice:
     material: str | None = None
     g: float | None = None
     spot_radius_mm: float | None = None
+    spot_radius_sd_mm: float | None = None
     lost_fraction: dict[str, float] | None = None
     scale_rel_sd: float = 0.0
     """Relative error common to the curve and the total."""

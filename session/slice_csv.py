@@ -57,6 +57,7 @@ HEADER: dict[str, Check] = {
     "view_angle_deg": _ANGLE,
     "incidence_deg": _ANGLE,
     "spot_radius_mm": number(above=0),
+    "spot_radius_sd_mm": _NOT_NEGATIVE,
     "total_r": _one_or_by_channel(number(above=0, at_most=1.1)),
     "total_r_sd": _one_or_by_channel(_NOT_NEGATIVE),
     "lost_fraction": _one_or_by_channel(number(at_least=0, below=1)),

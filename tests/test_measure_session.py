@@ -144,6 +144,12 @@ def test_a_dim_reference_widens_the_error_of_the_curves_scale(tmp_path):
     assert curves[1].scale_rel_sd > 3 * curves[0].scale_rel_sd
 
 
+def test_the_spots_radius_comes_from_the_tile_where_it_is_not_given(measured):
+    """This tile spreads nothing: its image is a Gaussian of the radius √(1/3) mm."""
+    assert measured.slice.spot_radius_mm == pytest.approx(3**-0.5, rel=0.01)
+    assert 0 < measured.slice.spot_radius_sd_mm < 0.1
+
+
 def test_the_folder_measured_holds_images_and_slice_that_read_back(session, measured):
     folder = session.path / "measured"
     assert sorted(file.name for file in folder.iterdir()) == ["reference.exr", "sample.exr", "slice.csv", "slice.png"]

@@ -1,10 +1,8 @@
-"""View angles compared, and the radius of the spot."""
+"""View angles compared."""
 
 import numpy as np
 import pytest
-from scipy.special import erf
 
-from bssrdf.calib.spot_radius import beam_radius, knife_edge_radius
 from bssrdf.errors import InputError
 from bssrdf.measure.views import compare_views
 from bssrdf.session.records import ChannelSlice, Slice
@@ -29,17 +27,3 @@ def test_one_view_or_a_missing_channel_cannot_be_compared():
         compare_views([seen_under(0.0)], "G")
     with pytest.raises(InputError, match="channel R is not"):
         compare_views([seen_under(0.0), seen_under(45.0)], "R")
-
-
-@pytest.mark.parametrize("sign", [1, -1])
-def test_a_knife_edge_gives_the_radius(sign):
-    x = np.linspace(-0.6, 0.8, 40)
-    light = 5 + 100 * (1 + erf(sign * np.sqrt(2) * (x - 0.07) / 0.21)) / 2
-    noisy = light + np.random.default_rng(0).normal(0, 0.3, x.shape)
-    assert knife_edge_radius(x, noisy) == pytest.approx(0.21, rel=0.03)
-
-
-def test_the_spread_of_the_tile_is_taken_off():
-    assert beam_radius(0.25, 0.2) == pytest.approx(0.15)
-    with pytest.raises(InputError, match="thin opaque target"):
-        beam_radius(0.15, 0.2)
