@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,9 +48,9 @@ class Stage(NamedTuple):
     integrator: Any
 
 
-def load_stage(scene: Scene | Path, options: Options) -> Stage:
+def load_stage(scene: Scene | Path, options: Options, colour: Literal["rgb", "mono"] = "rgb") -> Stage:
     """One of our scenes, or a Mitsuba XML file; InputError where Mitsuba is missing, refuses it, or it has no light."""
-    use_variant()
+    use_variant(colour)
     import mitsuba as mi
 
     from bssrdf.render.integrator import register
