@@ -69,6 +69,26 @@ def capture(out: Path, kills: int) -> None:
     click.echo(run_bench(folder, kills=kills))
 
 
+@bench.command()
+@OUT
+@FORCE
+@click.option("--material", "materials", multiple=True, help="Only this one; may be given again.")
+@click.option("--scene", "scenes", multiple=True, help="Only this one, such as `ball 10`; may be given again.")
+@click.option("--quick", is_flag=True, help="Two scenes of marble, to see that it works.")
+def render(out: Path | None, force: bool, materials: tuple[str, ...], scenes: tuple[str, ...], quick: bool) -> None:
+    """Noise and bias of BRDF, BSSRDF and full Monte Carlo on slabs, balls and a bust of six materials."""
+    from dataclasses import replace
+
+    from bssrdf.bench.render import QUICK, Effort, run_render_bench, table
+    from bssrdf.report.progress import steps
+
+    effort = QUICK if quick else Effort()
+    effort = replace(effort, materials=materials or effort.materials, scenes=scenes or effort.scenes)
+    with steps(quiet=is_quiet()) as progress:
+        results = run_render_bench(_folder(out, force), effort=effort, progress=progress)
+    click.echo(table(results))
+
+
 def _folder(out: Path | None, force: bool) -> Path | None:
     if out is not None and out.exists() and not force:
         raise UsageError(f"{out} exists already; choose another --out, or replace it with --force")

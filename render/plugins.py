@@ -126,7 +126,7 @@ def _mesh(mesh: TriangleMesh, parts: dict[str, Any]) -> Any:
 
 def _sensor(camera: Camera) -> dict[str, Any]:
     width, height = camera.pixels
-    film = {"type": "hdrfilm", "width": width, "height": height, "rfilter": {"type": "box"}, "pixel_format": "rgb"}
+    film = {"type": "hdrfilm", "width": width, "height": height, "rfilter": {"type": "box"}}
     where: dict[str, Any]
     if camera.width_mm is None:
         where = {"type": "perspective", "fov": camera.fov_deg}

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from bssrdf.errors import InputError, UsageError
 from bssrdf.render.material import RenderMaterial
-from bssrdf.render.scenes.place import SKY, beam, box, box_size, panel, sky, table
+from bssrdf.render.scenes.place import SKY, beam, box, box_size, grey, moved, panel, sky, table
 from bssrdf.render.scenes.record import Body, Camera, Maps, Plugin, Scene
 
 LIGHTS = ("beam", "edge", SKY)
@@ -25,22 +25,28 @@ _VEINS_SEED = 5
 def slab(
     material: RenderMaterial, *, light: str = "beam", side_mm: float = 60.0, thickness_mm: float = 30.0, **look: Any
 ) -> Scene:
-    """A slab seen from straight above, under a narrow `beam`, an even `sky`, or a panel that ends in an `edge`."""
+    """A slab seen from straight above, under a narrow `beam`, an even `sky`, or a lamp shaded by a card's `edge`."""
+    if light not in LIGHTS:
+        raise UsageError(f'light "{light}" is not one of {", ".join(LIGHTS)}')
     sides = (side_mm, side_mm, thickness_mm)
     body = Body(box((-side_mm / 2, -side_mm / 2, -thickness_mm), sides), material, box_size(sides), **look)
-    camera = Camera((0.0, 0.0, 100.0), (0.0, 0.0, 0.0), up=(0.0, 1.0, 0.0), width_mm=side_mm / 3)
-    return Scene("slab", {"slab": body}, _slab_light(light, side_mm), camera, narrow_light=light == "beam")
+    camera = Camera((0.0, 0.0, side_mm / 200), (0.0, 0.0, 0.0), up=(0.0, 1.0, 0.0), width_mm=side_mm / 3)
+    lights: dict[str, dict[str, Plugin]] = {
+        "beam": {"beam": beam((0.0, 0.0, 1.0), (0.0, 0.0, 0.0), BEAM_RADIUS_MM, flux=1.0)},
+        "edge": {"lamp": panel((0.0, -side_mm, side_mm), (0.0, 0.0, 0.0), (0.3 * side_mm,) * 2, radiance=10.0)},
+        SKY: {SKY: sky(1.0)},
+    }
+    card = {"card": _card(side_mm)} if light == "edge" else {}
+    return Scene("slab", {"slab": body}, lights[light], camera, card, narrow_light=light == "beam")
 
 
-def _slab_light(light: str, side_mm: float) -> dict[str, Plugin]:
-    if light == "beam":
-        return {"beam": beam((0.0, 0.0, 1.0), (0.0, 0.0, 0.0), BEAM_RADIUS_MM, flux=1.0)}
-    if light == SKY:
-        return {SKY: sky(1.0)}
-    if light == "edge":  # low over the half x > 0, its back to the camera
-        x, height = side_mm / 4, side_mm / 100
-        return {"panel": panel((x, 0.0, height), (x, 0.0, 0.0), (side_mm / 2, side_mm / 4), radiance=1.0)}
-    raise UsageError(f'light "{light}" is not one of {", ".join(LIGHTS)}')
+def _card(side_mm: float) -> Plugin:
+    """Black, close over the half x < 0; the camera looks from below it."""
+    return {
+        "type": "rectangle",
+        "to_world": moved((-side_mm / 2, 0.0, side_mm / 100), (side_mm / 2, side_mm, 1.0)),
+        "bsdf": {"type": "twosided", "bsdf": {"type": "diffuse", "reflectance": grey(0.0)}},
+    }
 
 
 def block(material: RenderMaterial, **look: Any) -> Scene:
