@@ -91,7 +91,7 @@ def render_pass(stage: Stage, samples: int, seed: int) -> Pixels:
     """One image (h, w, 3)."""
     import mitsuba as mi
 
-    image = mi.render(stage.scene, integrator=stage.integrator, spp=samples, seed=seed)  # type: ignore[arg-type]
+    image = mi.render(stage.scene, integrator=stage.integrator, spp=samples, seed=seed)
     return np.array(image, dtype=np.float32)[..., :3]
 
 
