@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -27,7 +27,12 @@ from bssrdf.session.atomic import make_folder
 
 Progress = Callable[[str, int, int], None]
 Floats = NDArray[np.float64]
+KNOWN = ("terms", "terms, paper", "Monte Carlo table")
+REFERENCE_SE = 0.003
 _REFERENCE_SEED = 1_000_000
+_LEAST_RUNS = 4
+_TILES = 5
+"""A side, over which pictures are averaged before their bias is told from noise."""
 
 
 @dataclass(frozen=True)
@@ -35,17 +40,18 @@ class Effort:
     """How much is rendered for each case."""
 
     pixels: int = 40
-    runs: int = 6
+    runs: int = 5
     samples: int = 48
     """A pixel and run, of brdf and bssrdf."""
     mc_samples: int = 4
-    reference_runs: int = 8
+    reference_s: float = 15.0
+    """Time for a reference, which stops before where the error of its mean is below REFERENCE_SE."""
     mc_depth: int = 1000
     materials: tuple[str, ...] = MATERIALS
     scenes: tuple[str, ...] | None = None
 
 
-QUICK = Effort(8, 3, 4, 2, 2, 40, ("Marble",), ("slab, sky", "ball 3"))
+QUICK = Effort(8, 3, 4, 2, 0.5, 40, ("Marble",), ("slab, sky", "ball 3"))
 
 
 @dataclass(frozen=True)
@@ -66,7 +72,7 @@ class Row:
     """Of the means, to the reference."""
     ratio_se: tuple[float, ...]
     rel_mse_bias: float
-    """relMSE less the noise of this method and of the reference; ε = 0.01 mean²."""
+    """relMSE of tiles less the noise of this method and of the reference; ε = 0.01 mean²."""
 
     @property
     def cost(self) -> float:
@@ -117,10 +123,7 @@ def measure(case: Case, effort: Effort) -> CaseResult:
             began = time.perf_counter()
             images[method].append(_image(stage, _samples(method, effort), run + 1))
             times[method].append(time.perf_counter() - began)
-    count = _samples(case.reference, effort)
-    reference = np.stack(
-        [_image(stages[case.reference], count, _REFERENCE_SEED + run) for run in range(effort.reference_runs)]
-    )
+    reference = _reference(stages[case.reference], _samples(case.reference, effort), effort.reference_s)
     rows = []
     for method in case.methods:
         row = _row(case, method, np.stack(images[method]), reference)
@@ -132,18 +135,30 @@ def measure(case: Case, effort: Effort) -> CaseResult:
     return CaseResult(tuple(rows), case.reference, cut, _known(case))
 
 
+def _reference(stage: Stage, samples: int, limit_s: float) -> Floats:
+    """Images of seeds of their own, until their mean is sure or the time is up."""
+    images: list[Floats] = []
+    began = time.perf_counter()
+    while True:
+        images.append(_image(stage, samples, _REFERENCE_SEED + len(images)))
+        if len(images) < _LEAST_RUNS:
+            continue
+        stack = np.stack(images)
+        if max(_relative_se(stack)) < REFERENCE_SE or time.perf_counter() - began > limit_s:
+            return stack
+
+
+def _relative_se(images: Floats) -> Floats:
+    """Of the mean of all images, by channel."""
+    means = images.mean(axis=(1, 2))
+    return np.asarray(means.std(axis=0, ddof=1) / math.sqrt(len(means)) / np.maximum(means.mean(axis=0), 1e-30))
+
+
 def _row(case: Case, method: str, images: Floats, reference: Floats) -> Row:
     """Without its times."""
-    mean, target = images.mean(axis=0), reference.mean(axis=0)
-    of_run, of_reference = images.var(axis=0, ddof=1), reference.var(axis=0, ddof=1)
-    noise = of_run / len(images) + of_reference / len(reference)
-    ratio = mean.mean(axis=(0, 1)) / target.mean(axis=(0, 1))
-    pixels = mean.shape[0] * mean.shape[1]
-    relative = [
-        np.sqrt(variance.mean(axis=(0, 1)) / len(stack) / pixels) / stack.mean(axis=(0, 1, 2))
-        for variance, stack in ((of_run, images), (of_reference, reference))
-    ]
-    denominator = np.square(target) + EPSILON * np.square(target.mean(axis=(0, 1)))
+    mean = images.mean(axis=(0, 1, 2))
+    ratio = mean / reference.mean(axis=(0, 1, 2))
+    error = ratio * np.hypot(_relative_se(images), _relative_se(reference))
     return Row(
         case.scene_name,
         case.material,
@@ -151,21 +166,36 @@ def _row(case: Case, method: str, images: Floats, reference: Floats) -> Row:
         0,
         math.nan,
         math.nan,
-        float((of_run.mean(axis=(0, 1)) / np.square(mean.mean(axis=(0, 1)))).mean()),
-        _triple(mean.mean(axis=(0, 1))),
+        float((images.var(axis=0, ddof=1).mean(axis=(0, 1)) / np.square(mean)).mean()),
+        _triple(mean),
         _triple(ratio),
-        _triple(ratio * np.hypot(*relative)),
-        float(((np.square(mean - target) - noise) / denominator).mean()),
+        _triple(error),
+        _bias(_tiled(images), _tiled(reference)),
     )
+
+
+def _tiled(images: Floats) -> Floats:
+    """Means over tiles, (runs, tiles, tiles, 3)."""
+    runs, height, width, channels = images.shape
+    high, wide = min(_TILES, height), min(_TILES, width)
+    cut = images[:, : height // high * high, : width // wide * wide]
+    return cut.reshape(runs, high, height // high, wide, width // wide, channels).mean(axis=(2, 4))
+
+
+def _bias(images: Floats, reference: Floats) -> float:
+    """relMSE less what the noise of both accounts for; may come out below 0."""
+    target = reference.mean(axis=0)
+    noise = images.var(axis=0, ddof=1) / len(images) + reference.var(axis=0, ddof=1) / len(reference)
+    denominator = np.square(target) + EPSILON * np.square(target.mean(axis=(0, 1)))
+    return float(((np.square(images.mean(axis=0) - target) - noise) / denominator).mean())
 
 
 def _cut(case: Case, effort: Effort, reference: Floats) -> tuple[float, ...]:
     """From what half the depth loses, with the same seeds and hence the same paths."""
     half = load_stage(case.scene, replace(METHODS[REFERENCE], mc_depth=effort.mc_depth // 2))
     count = _samples(REFERENCE, effort)
-    runs = min(2, effort.reference_runs)
-    shorter = np.stack([_image(half, count, _REFERENCE_SEED + run) for run in range(runs)]).mean(axis=(0, 1, 2))
-    longer = reference[:runs].mean(axis=(0, 1, 2))
+    shorter = np.stack([_image(half, count, _REFERENCE_SEED + run) for run in range(2)]).mean(axis=(0, 1, 2))
+    longer = reference[:2].mean(axis=(0, 1, 2))
     material = find_medium(case.material)
     shares = [cut_share(albedo, effort.mc_depth) for albedo in _albedo(material)]
     return _triple((longer - shorter) / longer * shares)
@@ -180,7 +210,7 @@ def _known(case: Case) -> dict[str, tuple[float, ...]]:
         return {}
     material = find_medium(case.material)
     (terms, truth), (printed, _) = sky_radiance(material), sky_radiance(material, paper=True)
-    return {"terms": _triple(terms), "terms, paper": _triple(printed), "Monte Carlo table": _triple(truth)}
+    return dict(zip(KNOWN, map(_triple, (terms, printed, truth)), strict=True))
 
 
 def _samples(method: str, effort: Effort) -> int:
@@ -220,30 +250,42 @@ def _notes(results: list[CaseResult]) -> list[str]:
         name = f"{row.scene}, {row.material}"
         if result.reference == REFERENCE:
             lines.append(
-                f"- {name}: longer paths than the reference's carry {_numbers(result.cut, '.2%')} of its light"
+                f"- {name}: paths longer than the reference's carry {_numbers(result.cut, '.2%')} of its light"
             )
-        for what, values in result.known.items():
-            by_exact = [b / k for b, k in zip(_mean_of(result, "bssrdf exact"), values, strict=True)]
-            lines.append(
-                f"- {name}: {what} {_numbers(values, '.4f')}; bssrdf exact over it {_numbers(by_exact, '.4f')}"
-            )
+        if result.known:
+            lines.append(f"- {name}: {_known_text(result)}")
     return lines
+
+
+def _known_text(result: CaseResult) -> str:
+    """Rendered over closed form, and the closed forms over Monte Carlo of a half space, which no path cuts off."""
+    exact = np.array(_mean_of(result, "bssrdf exact"))
+    terms, paper, truth = (np.array(result.known[key]) for key in KNOWN)
+    return (
+        f"bssrdf exact over the closed form of its terms {_numbers(exact / terms, '.4f')}; that sum over Monte Carlo "
+        f"{_numbers(terms / truth, '.3f')}, with the paper's exit lobe {_numbers(paper / truth, '.3f')}"
+    )
 
 
 def _mean_of(result: CaseResult, method: str) -> tuple[float, ...]:
     return next(row.mean for row in result.rows if row.method == method)
 
 
-def _numbers(values: tuple[float, ...] | list[float], form: str) -> str:
+def _numbers(values: Iterable[float], form: str) -> str:
     return " ".join(format(value, form) for value in values)
 
 
 def write_results(out: Path, results: list[CaseResult], effort: Effort) -> None:
     """render.json, render.md and render.png."""
-    document = {"effort": asdict(effort), "cases": [asdict(result) for result in results]}
+    document = {"effort": asdict(effort), "cases": [_document(result) for result in results]}
     (out / "render.json").write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
     (out / "render.md").write_text(table(results) + "\n", encoding="utf-8")
     _plot(out / "render.png", results)
+
+
+def _document(result: CaseResult) -> dict[str, Any]:
+    rows = [asdict(row) | {"variance_x_time": row.cost} for row in result.rows]
+    return asdict(result) | {"rows": rows}
 
 
 def _plot(path: Path, results: list[CaseResult]) -> None:

@@ -1,6 +1,6 @@
 """A head on shoulders, made of rounded parts that run into each other: the figure of the scenes `bust` and `face`.
 
-Lengths in units of its height; z is up from the flat base at z = 0, and the face looks along −y.
+Lengths in units of about its height; z is up from the flat base at z = 0, and the face looks along −y.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ def head_mesh(height_mm: float, *, cells: int = 110) -> TriangleMesh:
     vertices, normals, faces = surface_net(head_distance, LOW, HIGH, 1 / cells)
     u = np.arctan2(vertices[:, 0], -vertices[:, 1]) / (2 * np.pi) + 0.5
     uv = np.stack([u, vertices[:, 2]], axis=1)
-    return TriangleMesh(height_mm * vertices, normals, uv, faces)
+    return TriangleMesh(height_mm / np.ptp(vertices[:, 2]) * vertices, normals, uv, faces)
 
 
 def head_distance(points: Points) -> NDArray[np.float64]:
