@@ -1,0 +1,207 @@
+"""`bssrdf render`, `compare` and `doctor` as a user meets them: pictures, provenance, one line for what is wrong."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bssrdf.cli import cli
+from bssrdf.console import run
+from bssrdf.errors import BssrdfError
+from bssrdf.render.variant import use_variant
+from bssrdf.session.oiio_file import read_images
+
+QUICK = ("--quiet", "--width", "12", "--samples", "2")
+
+
+@pytest.fixture(scope="module")
+def _renderer() -> None:
+    try:
+        use_variant()
+    except BssrdfError as error:
+        pytest.skip(str(error))
+
+
+needs_renderer = pytest.mark.usefixtures("_renderer")
+
+
+def bssrdf(*arguments: object) -> int:
+    return run(cli, [str(argument) for argument in arguments])
+
+
+def one_line(capsys: pytest.CaptureFixture[str]) -> str:
+    (line,) = [text for text in capsys.readouterr().err.splitlines() if text.startswith("bssrdf:")]
+    return line
+
+
+@needs_renderer
+def test_a_picture_is_written_with_what_made_it_and_never_over_another(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    command = ("render", "block", "--model", "bssrdf", "--seed", "3", "--out", tmp_path / "cube", *QUICK)
+    assert bssrdf(*command) == 0
+    parts = {image.name: image for image in read_images(tmp_path / "cube.exr")}
+    assert parts["radiance"].data.shape == (12, 12, 3)
+    assert np.isfinite(parts["radiance"].data).all()
+    assert parts["radiance"].data.max() > 0
+    assert (parts["variance"].data >= 0).all()
+    facts = json.loads(parts["radiance"].attributes["bssrdf:provenance"])
+    assert (facts["scene"], facts["seed"], facts["options"]["model"]) == ("block", 3, "bssrdf")
+    assert facts["materials"]["block"]["sigma_sp"] == [2.19, 2.62, 3.0]
+    (shown,) = read_images(tmp_path / "cube.png")
+    assert json.loads(shown.attributes["bssrdf:provenance"])["exposure"] > 0
+    capsys.readouterr()
+    assert bssrdf(*command) == 2
+    assert "exists already" in one_line(capsys)
+    assert bssrdf(*command, "--force") == 0
+    assert {path.name for path in tmp_path.iterdir()} == {"cube.exr", "cube.png"}
+
+
+@needs_renderer
+def test_the_same_seed_gives_the_same_picture(tmp_path: Path) -> None:
+    for name in "ab":
+        assert bssrdf("render", "texture", "--model", "brdf", "--out", tmp_path / name, *QUICK) == 0
+    first, second = (read_images(tmp_path / f"{name}.exr")[0].data for name in "ab")
+    np.testing.assert_array_equal(first, second)
+
+
+@needs_renderer
+def test_terms_shown_apart_add_up_to_the_picture(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    means = {}
+    for terms in ("diffusion", "single", "specular", "diffusion,single,specular"):
+        options = ("--light", "sky", "--model", "brdf", "--width", "16", "--samples", "64", "--quiet")
+        assert bssrdf("render", "slab", "--terms", terms, "--out", tmp_path / terms, *options) == 0
+        means[terms] = read_images(tmp_path / f"{terms}.exr")[0].data.mean()
+    *apart, whole = means.values()
+    assert whole == pytest.approx(sum(apart), rel=0.02)
+    assert "already holds" in capsys.readouterr().err
+
+
+@needs_renderer
+def test_auto_explains_itself(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert bssrdf("render", "block", "--explain", "--out", tmp_path / "cube", *QUICK) == 0
+    said = capsys.readouterr().err
+    assert "the cheapest that holds" in said
+    assert "chosen: bssrdf (block:" in said
+
+
+@needs_renderer
+def test_compare_scores_every_model_against_monte_carlo(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    options = ("--light", "sky", "--mc-depth", "60", "--out", tmp_path / "slab", *QUICK)
+    assert bssrdf("compare", "slab", *options) == 0
+    scores = json.loads((tmp_path / "slab" / "compare.json").read_text())["scores"]
+    assert [score["model"] for score in scores] == ["brdf", "bssrdf", "mc"]
+    assert scores[-1]["mean_ratio"] == 1
+    assert all(score["seconds"] > 0 for score in scores)
+    assert {"compare.png", "brdf.exr", "bssrdf.png", "mc.exr"} <= {path.name for path in (tmp_path / "slab").iterdir()}
+    assert "| mc |" in capsys.readouterr().out
+    assert bssrdf("compare", "slab", *options) == 2
+
+
+@needs_renderer
+@pytest.mark.parametrize(
+    ("arguments", "code", "words"),
+    [
+        (("bunny",), 2, 'no scene "bunny"'),
+        (("block", "--material", "marbel"), 3, "not in the published table"),
+        (("block", "--material", "none.json"), 3, "none.json"),
+        (("block", "--light", "sky"), 2, "takes no light"),
+        (("texture", "--texture", "none.png"), 3, "no such texture"),
+        (("bust", "--mesh", "none.ply"), 3, "is not there"),
+        (("bust", "--mesh", "none.stl"), 3, "convert it"),
+        (("bust", "--height-mm", "10"), 2, "--mesh"),
+        (("block", "--model", "mc"), 2, "narrow light"),
+        (("block", "--terms", "shiny"), 2, 'term "shiny"'),
+        (("none.xml",), 3, "none.xml"),
+    ],
+)
+def test_what_is_wrong_with_a_scene_is_one_line(
+    arguments: tuple[str, ...],
+    code: int,
+    words: str,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert bssrdf("render", *arguments, "--quiet", "--out", "picture") == code
+    assert words in one_line(capsys)
+    assert list(tmp_path.iterdir()) == []
+
+
+XML = """<scene version="3.0.0">
+<sensor type="perspective"><transform name="to_world"><lookat origin="0,0,4" target="0,0,0" up="0,1,0"/></transform>
+<film type="hdrfilm"><integer name="width" value="8"/><integer name="height" value="8"/></film></sensor>
+<shape type="sphere"><bsdf type="bssrdf_medium">{surface}<float name="eta" value="1.3"/></bsdf></shape>{rest}</scene>"""
+WAX = '<float name="sigma_a" value="0.1"/><float name="sigma_sp" value="20"/>'
+LAMP = '<emitter type="constant"/>'
+LOST = '<texture name="sigma_a" type="bitmap"><string name="filename" value="lost.exr"/></texture>'
+
+
+@needs_renderer
+def test_a_mitsuba_file_is_rendered(tmp_path: Path) -> None:
+    (tmp_path / "wax.xml").write_text(XML.format(surface=WAX, rest=LAMP))
+    assert bssrdf("render", tmp_path / "wax.xml", "--out", tmp_path / "wax", "--quiet", "--samples", "2") == 0
+    assert read_images(tmp_path / "wax.exr")[0].data[4, 4].min() > 0
+
+
+@needs_renderer
+@pytest.mark.parametrize(
+    ("surface", "rest", "words"),
+    [(WAX, "", "has no light"), (LOST, LAMP, "lost.exr"), ('<float name="sigma_x" value="1"/>', LAMP, "sigma_")],
+)
+def test_what_is_wrong_with_a_mitsuba_file_is_one_line(
+    surface: str, rest: str, words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "bad.xml").write_text(XML.format(surface=surface, rest=rest))
+    assert bssrdf("render", tmp_path / "bad.xml", "--out", tmp_path / "bad", "--quiet") == 3
+    line = one_line(capsys)
+    assert words in line
+    assert "bad.xml" in line
+
+
+TETRAHEDRON = """ply
+format ascii 1.0
+element vertex 4
+property float x
+property float y
+property float z
+element face {n}
+property list uchar int vertex_indices
+end_header
+0 0 0
+{size} 0 0
+0 {size} 0
+0 0 {size}
+3 0 2 1
+3 0 1 3
+3 0 3 2
+3 1 2 3
+"""
+
+
+@needs_renderer
+def test_a_mesh_without_normals_or_too_small_for_its_medium_is_remarked(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "bit.ply").write_text(TETRAHEDRON.format(n=4, size=0.2))
+    options = ("--model", "bssrdf", "--out", tmp_path / "bit", *QUICK)
+    assert bssrdf("render", "bust", "--mesh", tmp_path / "bit.ply", *options) == 0
+    said = capsys.readouterr().err
+    assert "has no normals" in said
+    assert "larger than the body" in said
+
+
+def test_doctor_lists_libraries_and_what_renders(capsys: pytest.CaptureFixture[str]) -> None:
+    assert bssrdf("doctor", "--quiet") == 0
+    said = capsys.readouterr().out
+    assert {"Python", "numpy", "rendering", "GPU", "devices"} <= {line.split()[0] for line in said.splitlines()}
+
+
+def test_doctor_says_what_to_install(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.setattr("bssrdf.report.doctor.find_backend", lambda: None)
+    assert bssrdf("doctor", "--quiet") == 0
+    assert "libllvm19" in capsys.readouterr().out
