@@ -112,6 +112,12 @@ class Media:
         self._numbers = mi.Float(np.concatenate(numbers).astype(np.float32))
         self._stride = len(numbers[0])
 
+    def shortest_mean_free_path(self) -> float:
+        """The least 1/σt over all surfaces and channels; 0 where a texture may hold anything."""
+        if self.textured:
+            return 0.0
+        return min((1 / float(np.max(_extinction(s))) for s in self.surfaces), default=math.inf)
+
     def row(self, si: Any, active: Any) -> tuple[Any, Any]:
         """Row of the table under each hit, and whether there is one."""
         bsdf_id = dr.reinterpret_array(mi.UInt32, si.bsdf())
@@ -132,7 +138,7 @@ class Media:
                 here = active & (row == i)
                 looked_up = self._look_up(surface, i, si, here)
                 sigma_a, sigma_sp = dr.select(here, looked_up[0], sigma_a), dr.select(here, looked_up[1], sigma_sp)
-        return Optics(sigma_a, sigma_sp, *numbers[:n], row=row)
+        return Optics(sigma_a, sigma_sp, *numbers[:n], row)
 
     def optics_at(self, si: Any, optics: Optics, active: Any) -> Optics:
         """The medium at another point of the same surface."""
@@ -198,7 +204,7 @@ def register_medium(variant: str) -> None:
 
         def eval(self, context: Any, si: Any, wo: Any, active: Any) -> Any:
             surface = self.surface
-            reflected = mi.Spectrum(list(total_reflectance(surface)))
+            reflected = mi.Spectrum(total_reflectance(surface).tolist())
             cos_i, cos_o = dr.abs(wo.z), dr.abs(si.wi.z)
             lobe = (1 - mi.fresnel(cos_i, surface.eta)[0]) * (1 - mi.fresnel(cos_o, surface.eta)[0])
             scale = 1 / (math.pi * float(exit_norm(surface.eta)))
@@ -268,6 +274,11 @@ def coefficients(surface: Surface) -> Floats:
     return np.stack([ratio, 1 - ratio]) * surface.scale / np.maximum(second, 1e-20)
 
 
+def _extinction(surface: Surface) -> Floats:
+    sigma_a, sigma_sp = coefficients(surface)
+    return sigma_a + sigma_sp / (1 - surface.g)
+
+
 def total_reflectance(surface: Surface) -> Floats:
     """R of the mean coefficients, shape (channels,)."""
     sigma_a, sigma_sp = mean_coefficients(surface)
@@ -325,7 +336,7 @@ def _tilted(surface: Surface, si: Any, active: Any) -> Any:
 
 
 def _value(value: Any, si: Any, active: Any) -> Any:
-    return mi.Spectrum(list(value)) if isinstance(value, np.ndarray) else value.eval(si, active)
+    return mi.Spectrum(value.tolist()) if isinstance(value, np.ndarray) else value.eval(si, active)
 
 
 def _colour_or_texture(properties: Any, name: str) -> Any:

@@ -15,7 +15,7 @@ import mitsuba as mi
 
 from bssrdf.render.diffusion import Diffusion, LocalDiffusion
 from bssrdf.render.lobes import Bounce, Lobe, Ordinary, Specular, Vertex
-from bssrdf.render.medium import Media
+from bssrdf.render.medium import Media, Optics
 from bssrdf.render.probes import SMALLEST, size_of
 from bssrdf.render.sampling import Law, reach
 from bssrdf.render.single import LocalSingle, Single, single_share
@@ -66,6 +66,7 @@ class Tracer:
         self.media = Media(scene)
         self.spots = Spots(scene)
         delta = [bool(int(emitter.flags()) & int(mi.EmitterFlags.Delta)) for emitter in scene.emitters()]
+        self._has_local = settings.local or self.media.shortest_mean_free_path() < 2 * SMALLEST * _size(scene)
         self._lit = bool(delta)
         self._hittable = not all(delta)
         """Is there light that a ray can meet by chance?"""
@@ -90,14 +91,27 @@ class Tracer:
         radiance = path.radiance
         if self._hittable:
             radiance = radiance + self._emitted(path, si)
-        active = path.active & si.is_valid() & (path.depth + 1 < self.settings.max_depth)
-        lobes, throughput = self._lobes(path, si, sampler, active)
+        path.radiance = radiance
+        path.seen |= (path.depth == 0) & si.is_valid()
+        path.active &= si.is_valid() & (path.depth + 1 < self.settings.max_depth)
+        path, sampler = dr.if_stmt(
+            (path, si, sampler),
+            path.active,
+            self._shade,
+            lambda path, si, sampler: (path, sampler),
+            mode="symbolic",
+        )
+        return path
+
+    def _shade(self, path: Path, si: Any, sampler: Any) -> tuple[Path, Any]:
+        """Add the light that reaches the surface, and draw the ray after it."""
+        lobes, throughput = self._lobes(path, si, sampler, path.active)
+        radiance = path.radiance
         if self._lit:
             radiance = radiance + throughput * self._direct(lobes, sampler)
             for lobe in lobes:
                 radiance = radiance + throughput * lobe.beam(sampler)
-        seen = path.seen | ((path.depth == 0) & si.is_valid())
-        return self._continued(path, radiance, throughput, lobes, seen, sampler)
+        return self._continued(path, radiance, throughput, lobes, path.seen, sampler), sampler
 
     def _emitted(self, path: Path, si: Any) -> Any:
         """Light of a surface or surrounding that the ray met, weighed against light sampling."""
@@ -150,23 +164,29 @@ class Tracer:
         settings, media, scene = self.settings, self.media, self.scene
         if term == "specular":
             return [Specular(media, vertex, active)]
-        smallest = SMALLEST * size_of(vertex.si.p)
+        far, local = self._apart(term, vertex.optics, size_of(vertex.si.p), active)
+        lobes: list[Lobe] = []
         if term == "diffusion":
-            if settings.local:
-                return [LocalDiffusion(media, vertex, active)]
-            local = dr.max(reach(vertex.optics.dipole())) < smallest
-            law, hits = settings.law, settings.max_probe_hits
-            return [
-                Diffusion(scene, sampler, media, self.spots, vertex, law, hits, active & ~local),
-                LocalDiffusion(media, vertex, active & local),
-            ]
-        if settings.local:
-            return [LocalSingle(media, vertex, settings.paper, active)]
-        local = dr.min(vertex.optics.sigma_t()) * smallest > 1
-        return [
-            Single(scene, sampler, media, vertex, active & ~local),
-            LocalSingle(media, vertex, settings.paper, active & local),
-        ]
+            if not settings.local:
+                law, hits = settings.law, settings.max_probe_hits
+                lobes.append(Diffusion(scene, sampler, media, self.spots, vertex, law, hits, far))
+            if self._has_local:
+                lobes.append(LocalDiffusion(media, vertex, local))
+        else:
+            if not settings.local:
+                lobes.append(Single(scene, sampler, media, vertex, far))
+            if self._has_local:
+                lobes.append(LocalSingle(media, vertex, settings.paper, local))
+        return lobes
+
+    def _apart(self, term: str, optics: Optics, size: Any, active: Any) -> tuple[Any, Any]:
+        """Where single precision can tell entry from exit, and where not."""
+        if self.settings.local:
+            return mi.Bool(False), active
+        if not self._has_local:
+            return active, mi.Bool(False)
+        spread = dr.max(reach(optics.dipole())) if term == "diffusion" else 1 / dr.min(optics.sigma_t())
+        return active & (spread >= SMALLEST * size), active & (spread < SMALLEST * size)
 
     def _direct(self, lobes: list[Lobe], sampler: Any) -> Any:
         """Light sampling, from each lane's own lobe."""
@@ -216,3 +236,9 @@ class Tracer:
 def interaction(si: Any) -> Any:
     """The point of a surface interaction alone."""
     return mi.Interaction3f(si.t, si.time, si.wavelengths, si.p, si.n)
+
+
+def _size(scene: Any) -> float:
+    """The largest coordinate, as `size_of` has it."""
+    box = scene.bbox()
+    return 1 + max(float(dr.max(dr.abs(dr.ravel(corner)))[0]) for corner in (mi.Point3f(box.min), mi.Point3f(box.max)))

@@ -6,15 +6,16 @@ After King et al. 2013, with the dipole's own radius. Lengths in scene units.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
 import drjit as dr
 import mitsuba as mi
 
-from bssrdf.render.sampling import Dipole, Law, radius_density, rd, reach, sample_radius
+from bssrdf.render.sampling import Dipole, Law, radius_density, rd, rd_flat, reach, sample_radius
 
-AXIS_SHARES = (0.7, 0.15, 0.15)
+AXIS_SHARES = (0.8, 0.1, 0.1)
 """Of the probes along the normal and along the two tangents."""
 SMALLEST = 1e-4
 """Reach, over the size of a coordinate, below which single precision cannot tell two points of a surface apart."""
@@ -74,17 +75,21 @@ def size_of(p: Any) -> Any:
 
 def entry_density(body: Body, offset: Any, normal: Any, law: Law) -> Any:
     """Density over the surface at `offset` from the lit point of all probes' hits together."""
-    local, tilt = body.frame.to_local(offset), dr.abs(body.frame.to_local(normal))
-    square = local * local
-    total = mi.Float(0)
-    for share, radius2, cosine in (
-        (AXIS_SHARES[0], square.x + square.y, tilt.z),
-        (AXIS_SHARES[1], square.y + square.z, tilt.x),
-        (AXIS_SHARES[2], square.x + square.z, tilt.y),
-    ):
-        density = radius_density(body.source, mi.Spectrum(dr.sqrt(radius2)), law)
-        total += share * cosine * dr.sum(body.channel_shares * density)
-    return total
+
+    def density(r2: Any) -> Any:
+        return dr.sum(body.channel_shares * radius_density(body.source, mi.Spectrum(r2), law))
+
+    return _over_axes(body.frame, offset, normal, density)
+
+
+def _over_axes(frame: Any, offset: Any, normal: Any, density: Callable[[Any], Any]) -> Any:
+    """The sum over the axes of a density in the plane across each, given for the square of the radius there."""
+    square, tilt = dr.square(frame.to_local(offset)), dr.abs(frame.to_local(normal))
+    return (
+        AXIS_SHARES[0] * tilt.z * density(square.x + square.y)
+        + AXIS_SHARES[1] * tilt.x * density(square.y + square.z)
+        + AXIS_SHARES[2] * tilt.y * density(square.x + square.z)
+    )
 
 
 def rd_between(source: Dipole, offset: Any, normal: Any) -> Any:
@@ -94,23 +99,29 @@ def rd_between(source: Dipole, offset: Any, normal: Any) -> Any:
     """
     r2, rise = dr.squared_norm(offset), dr.dot(offset, normal)
 
-    def distance(z: Any, height: Any) -> Any:
-        return dr.sqrt(dr.maximum(r2 + z * z + 2 * height * rise, source.z_r * source.z_r))
+    def square(height: Any) -> Any:
+        return dr.maximum(r2 + height * height + 2 * height * rise, source.z_r * source.z_r)
 
-    return rd(source, distance(source.z_r, -source.z_r), distance(source.z_v, source.z_v))
+    return rd(source, square(-source.z_r), square(source.z_v))
+
+
+def _worth(frame: Any, picked: Dipole, offset: Any, normal: Any) -> Any:
+    """What a hit contributes over its density, in one channel: for the choice among several hits."""
+    density = _over_axes(frame, offset, normal, lambda r2: rd_flat(picked, r2))
+    return rd_between(picked, offset, normal) / dr.maximum(density, 1e-30)
 
 
 @dr.syntax
 def find_entry(scene: Any, sampler: Any, body: Body, law: Law, max_hits: int, active: Any) -> Entry:
-    """Probe the body once and keep one of the hits, chosen by its share of what they contribute together."""
+    """Probe the body once and keep one of the hits, chosen by its share of what they are worth together."""
     si = body.si
-    ray = _probe(sampler, body, law, active)
+    ray, picked = _probe(sampler, body, law, active)
     step = _STEP * size_of(si.p)
     own = si.bsdf()
     running = active & (ray.maxt > 0)
     hits = mi.UInt32(0)
     total = mi.Float(0)
-    kept = mi.Float(0)
+    kept = mi.Float(1)
     kept_ray = mi.Ray3f(ray)
     kept_hit = dr.zeros(mi.PreliminaryIntersection3f)
     while running:
@@ -118,12 +129,10 @@ def find_entry(scene: Any, sampler: Any, body: Body, law: Law, max_hits: int, ac
         found = running & hit.is_valid()
         point = hit.compute_surface_interaction(ray, +mi.RayFlags.Minimal, found)
         mine = found & (point.bsdf() == own)
-        offset, normal = point.p - si.p, point.n * body.side
-        value = dr.sum(body.channel_shares * rd_between(body.source, offset, normal))
-        value = dr.select(mine, value / dr.maximum(entry_density(body, offset, normal, law), 1e-30), 0)
-        total += value
-        take = mine & (sampler.next_1d(running) * total < value)
-        kept = dr.select(take, value, kept)
+        worth = dr.select(mine, _worth(body.frame, picked, point.p - si.p, point.n * body.side), 0)
+        total += worth
+        take = mine & (sampler.next_1d(running) * total <= worth)
+        kept = dr.select(take, worth, kept)
         kept_hit = dr.select(take, hit, kept_hit)
         kept_ray = dr.select(take, ray, kept_ray)
         hits += dr.select(mine, mi.UInt32(1), mi.UInt32(0))
@@ -131,16 +140,17 @@ def find_entry(scene: Any, sampler: Any, body: Body, law: Law, max_hits: int, ac
         ray.o = dr.select(found, ray.o + passed * ray.d, ray.o)
         ray.maxt = ray.maxt - passed
         running = found & (ray.maxt > 0) & (hits < max_hits)
-    chosen = active & (kept > 0)
+    chosen = active & (hits > 0)
     entry = kept_hit.compute_surface_interaction(kept_ray, +mi.RayFlags.All, chosen)
     chosen &= entry.is_valid()
     density = entry_density(body, entry.p - si.p, entry.n * body.side, law)
-    weight = dr.select(chosen, total / dr.maximum(kept * density, 1e-30), 0)
+    share = dr.select(total > 0, kept / total, 1)
+    weight = dr.select(chosen, 1 / dr.maximum(share * density, 1e-30), 0)
     return Entry(entry, weight, density, chosen)
 
 
-def _probe(sampler: Any, body: Body, law: Law, active: Any) -> Any:
-    """A line through the ball of the dipole's reach, parallel to one of the axes; of no length where it misses."""
+def _probe(sampler: Any, body: Body, law: Law, active: Any) -> tuple[Any, Dipole]:
+    """A line through the ball of the dipole's reach, parallel to an axis, of no length where it misses; its channel."""
     u_axis, u_channel, u_disk = sampler.next_1d(active), sampler.next_1d(active), sampler.next_2d(active)
     frame = body.frame
     along_n = u_axis < AXIS_SHARES[0]
@@ -148,14 +158,16 @@ def _probe(sampler: Any, body: Body, law: Law, active: Any) -> Any:
     axis = dr.select(along_n, frame.n, dr.select(along_s, frame.s, frame.t))
     first = dr.select(along_n, frame.s, dr.select(along_s, frame.t, frame.n))
     second = dr.select(along_n, frame.t, dr.select(along_s, frame.n, frame.s))
-    source = body.source
-    albedo_p, sigma_tr, z_r, z_v = (
-        pick_channel(value, body.channel_shares, u_channel)
-        for value in (source.albedo_p, source.sigma_tr, source.z_r, source.z_v)
+    source, shares = body.source, body.channel_shares
+    picked = Dipole(
+        pick_channel(source.albedo_p, shares, u_channel),
+        pick_channel(source.sigma_tr, shares, u_channel),
+        pick_channel(source.z_r, shares, u_channel),
+        pick_channel(source.z_v, shares, u_channel),
     )
-    radius = sample_radius(Dipole(albedo_p, sigma_tr, z_r, z_v), u_disk.x, law)
+    radius = sample_radius(picked, u_disk.x, law)
     sin_phi, cos_phi = dr.sincos(2 * math.pi * u_disk.y)
     farthest = body.reach()
     half = dr.sqrt(dr.maximum(farthest * farthest - radius * radius, 0))
     origin = body.si.p + radius * (first * cos_phi + second * sin_phi) + half * axis
-    return mi.Ray3f(origin, -axis, 2 * half, body.si.time, body.si.wavelengths)
+    return mi.Ray3f(origin, -axis, 2 * half, body.si.time, body.si.wavelengths), picked

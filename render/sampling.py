@@ -18,7 +18,7 @@ Value = Any
 
 Law = Literal["exact", "exponential"]
 LAWS = ("exact", "exponential")
-TAIL = 1e-4
+TAIL = 5e-4
 """Share of the diffusely reflected light beyond the probes' reach, which is left out."""
 
 _FARTHEST = 5e3
@@ -48,19 +48,20 @@ def dipole(sigma_a: Value, sigma_sp: Value, boundary_a: Value) -> Dipole:
     return Dipole(sigma_sp * z_r, dr.sqrt(3 * sigma_a / z_r), z_r, z_r * (1 + 4 / 3 * boundary_a))
 
 
-def rd(source: Dipole, d_r: Value, d_v: Value) -> Value:
-    """R_d, eq. 4, at the distances d_r and d_v from the real and the virtual source."""
+def rd(source: Dipole, d2_r: Value, d2_v: Value) -> Value:
+    """R_d, eq. 4, for the squares of the distances from the real and the virtual source."""
 
-    def part(z: Value, d: Value) -> Value:
-        x = source.sigma_tr * d
-        return z / d * (1 + x) * dr.exp(-x) / (d * d)
+    def part(z: Value, d2: Value) -> Value:
+        inverse = dr.rsqrt(d2)
+        x = source.sigma_tr * d2 * inverse
+        return z * inverse * (1 + x) * dr.exp(-x) * inverse * inverse
 
-    return source.albedo_p / (4 * math.pi) * (part(source.z_r, d_r) + part(source.z_v, d_v))
+    return source.albedo_p / (4 * math.pi) * (part(source.z_r, d2_r) + part(source.z_v, d2_v))
 
 
-def rd_flat(source: Dipole, r: Value) -> Value:
-    """R_d(r) on a plane."""
-    return rd(source, dr.sqrt(r * r + dr.square(source.z_r)), dr.sqrt(r * r + dr.square(source.z_v)))
+def rd_flat(source: Dipole, r2: Value) -> Value:
+    """R_d(r) on a plane, for r²."""
+    return rd(source, r2 + dr.square(source.z_r), r2 + dr.square(source.z_v))
 
 
 def sample_radius(source: Dipole, u: Value, law: Law) -> Value:
@@ -68,11 +69,11 @@ def sample_radius(source: Dipole, u: Value, law: Law) -> Value:
     return _sample_exponential(source, u) if law == "exponential" else _sample_exact(source, u)
 
 
-def radius_density(source: Dipole, r: Value, law: Law) -> Value:
-    """Density per area of `sample_radius` at the distance r: R_d(r)/R, or the paper's σtr e^(−σtr r)/(2πr)."""
+def radius_density(source: Dipole, r2: Value, law: Law) -> Value:
+    """Density per area of `sample_radius`, for r²: R_d(r)/R, or the paper's σtr e^(−σtr r)/(2πr)."""
     if law == "exact":
-        return rd_flat(source, r) / dr.maximum(source.total(), 1e-30)
-    rate = _rate(source)
+        return rd_flat(source, r2) / dr.maximum(source.total(), 1e-30)
+    rate, r = _rate(source), dr.sqrt(r2)
     return rate * dr.exp(-rate * r) / (2 * math.pi * dr.maximum(r, 1e-6 * source.z_r))
 
 
