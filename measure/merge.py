@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from bssrdf.calib.sensor import Sensor
 from bssrdf.errors import InputError
+from bssrdf.measure.accumulate import add_light, add_variance, add_weighted
 
 Plane = NDArray[np.float32]
 Bits = NDArray[np.uint8]
@@ -26,11 +27,12 @@ Bits = NDArray[np.uint8]
 SATURATED, HOT, NO_DATA = 1, 2, 4
 """Bits of a mask: saturated in every exposure, hot, no usable sample."""
 
-_ROWS = 16
+_TILE = 65536
+"""Samples of the tiles of whole rows in which a plane is smoothed."""
 _REACH = 2
 """Pixels of its colour around one that tell how bright it is where it holds few electrons."""
 _READERS = 2
-_MEDIAN_ROWS = 64
+_MEDIAN_PIXELS = 10_000
 _FEW_ELECTRONS = 100.0
 """Below this many electrons in all exposures the variance is predicted from the pixel's neighbourhood."""
 
@@ -134,56 +136,28 @@ def read_ahead(shots: Sequence[Shot]) -> Iterator[tuple[Shot, Sample]]:
 def _poisson_sum(samples: Iterator[tuple[Shot, Sample]], sensor: Sensor) -> tuple[Plane, Plane, Bits]:
     """Σ(x − d), Σt and the number of unsaturated samples, by pixel."""
     signal = seconds = count = None
-    for shot, sample in samples:
+    for shot, (raw, dark, _) in samples:
         if signal is None or seconds is None or count is None:
-            shape = sample.raw.shape
-            signal, seconds, count = np.zeros(shape, np.float32), np.zeros(shape, np.float32), np.zeros(shape, np.uint8)
-        for rows, good, light in _usable(sample, sensor):
-            signal[rows] += light
-            count[rows] += good
-            seconds[rows] += np.multiply(good, np.float32(shot.exposure_s), dtype=np.float32)
+            signal, seconds = np.zeros(raw.shape, np.float32), np.zeros(raw.shape, np.float32)
+            count = np.zeros(raw.shape, np.uint8)
+        planes = (_flat(plane) for plane in (signal, seconds, count))
+        add_light(_flat(raw), _flat(dark), np.float32(sensor.saturation_dn), np.float32(shot.exposure_s), *planes)
     if signal is None or seconds is None or count is None:
         raise InputError("no frame to merge; list some in frames.csv")
     return signal, seconds, count
 
 
-def _usable(sample: Sample, sensor: Sensor) -> Iterator[tuple[slice, NDArray[np.bool_], Plane]]:
-    """By tile: its rows, which of its samples are not saturated, and x − d [DN], 0 where saturated.
-
-    The arrays are overwritten by the next tile.
-    """
-    raw, dark = sample.raw, sample.dark
-    saturation = sensor.saturation_dn
-    if np.issubdtype(raw.dtype, np.integer):
-        saturation = raw.dtype.type(min(np.ceil(saturation), np.iinfo(raw.dtype).max))
-    light = np.empty((_ROWS, *raw.shape[1:]), np.float32)
-    good = np.empty(light.shape, bool)
-    for top in range(0, len(raw), _ROWS):
-        rows = slice(top, min(top + _ROWS, len(raw)))
-        n = rows.stop - top
-        np.less(raw[rows], saturation, out=good[:n])
-        np.subtract(raw[rows], dark[rows], out=light[:n], dtype=np.float32, casting="same_kind")
-        light[:n] *= good[:n]
-        yield rows, good[:n], light[:n]
+def _flat(plane: NDArray[Any]) -> NDArray[Any]:
+    return plane.reshape(-1)
 
 
 def _reweighted_sum(samples: Iterator[tuple[Shot, Sample]], sensor: Sensor, expected: Plane) -> tuple[Plane, Plane]:
     """Inverse-variance mean of (x − d)/t and its variance, where the variance is that of `expected` [DN/s]."""
     weighted, weight = np.zeros_like(expected), np.zeros_like(expected)
-    w = np.empty((_ROWS, *expected.shape[1:]), np.float32)
+    planes = [_flat(plane) for plane in (expected, weighted, weight)]
     for shot, sample in samples:
-        t = np.float32(shot.exposure_s)
-        shot_noise, darkness = t / np.float32(sensor.gain_e_per_dn), _darkness_variance(sample, sensor)
-        for rows, good, light in _usable(sample, sensor):
-            tile = w[: len(good)]
-            np.multiply(expected[rows], shot_noise, out=tile)
-            tile += darkness
-            np.divide(t, tile, out=tile)
-            light *= tile
-            weighted[rows] += light
-            tile *= good
-            tile *= t
-            weight[rows] += tile
+        terms = (sensor.saturation_dn, shot.exposure_s, _darkness_variance(sample, sensor), sensor.gain_e_per_dn)
+        add_weighted(_flat(sample.raw), _flat(sample.dark), *map(np.float32, terms), *planes)
     with np.errstate(divide="ignore", invalid="ignore"):
         weighted /= weight
         np.divide(1, weight, out=weight)
@@ -196,10 +170,8 @@ def _poisson_variance(samples: Iterator[tuple[Shot, Sample]], sensor: Sensor, ra
     variance = np.zeros_like(radiance)
     expected = np.maximum(np.nan_to_num(radiance), 0)
     for shot, sample in samples:
-        shot_noise = np.float32(shot.exposure_s / sensor.gain_e_per_dn)
-        darkness = _darkness_variance(sample, sensor)
-        for rows, good, _ in _usable(sample, sensor):
-            variance[rows] += good * (expected[rows] * shot_noise + darkness)
+        terms = (sensor.saturation_dn, shot.exposure_s, _darkness_variance(sample, sensor), sensor.gain_e_per_dn)
+        add_variance(_flat(sample.raw), *map(np.float32, terms), _flat(expected), _flat(variance))
     with np.errstate(divide="ignore", invalid="ignore"):
         variance /= seconds**2
     return variance
@@ -211,8 +183,8 @@ def _darkness_variance(sample: Sample, sensor: Sensor) -> np.float32:
     The dark signal is the frame's median. Weights that followed the noise of d pixel by pixel would favour low darks:
     in darkness the radiance would come out too high.
     """
-    thin = max(1, sample.dark.shape[0] // _MEDIAN_ROWS)
-    dark_signal = max(float(np.median(sample.dark[::thin])) - sensor.black_dn, 0.0)
+    thin = max(1, round(np.sqrt(sample.dark.shape[0] * sample.dark.shape[1] / _MEDIAN_PIXELS)))
+    dark_signal = max(float(np.median(sample.dark[::thin, ::thin])) - sensor.black_dn, 0.0)
     return np.float32((dark_signal / sensor.gain_e_per_dn + sensor.read_var_dn()) * (1 + 1 / sample.n_darks))
 
 
@@ -230,11 +202,14 @@ def _expected_radiance(radiance: Plane, seconds: Plane, sensor: Sensor, period: 
 
 def _smooth_where_dark(radiance: Plane, seconds: Plane, gain: np.float32) -> None:
     """Replace `seconds` by the expected radiance, for pixels of one colour, by tiles of rows."""
-    for top in range(0, len(radiance), _ROWS):
-        bottom = min(top + _ROWS, len(radiance))
-        above, below = max(top - _REACH, 0), min(bottom + _REACH, len(radiance))
-        size = (2 * _REACH + 1, 2 * _REACH + 1)
-        around = cv2.blur(np.nan_to_num(radiance[above:below]), size, borderType=cv2.BORDER_REPLICATE)
-        lit = radiance[top:bottom]
-        few = lit * seconds[top:bottom] * gain < _FEW_ELECTRONS
-        seconds[top:bottom] = np.maximum(np.where(few, around[top - above : bottom - above], lit), 0)
+    step = max(1, _TILE // max(1, radiance[0].size))
+    for top in range(0, len(radiance), step):
+        rows = slice(top, min(top + step, len(radiance)))
+        lit = radiance[rows]
+        few = lit * seconds[rows] * gain < _FEW_ELECTRONS
+        if few.any():
+            above, below = max(rows.start - _REACH, 0), min(rows.stop + _REACH, len(radiance))
+            size = (2 * _REACH + 1, 2 * _REACH + 1)
+            around = cv2.blur(np.nan_to_num(radiance[above:below]), size, borderType=cv2.BORDER_REPLICATE)
+            lit = np.where(few, around[rows.start - above : rows.stop - above], lit)
+        seconds[rows] = np.maximum(lit, 0)
