@@ -140,7 +140,14 @@ def _first(problem: Problem, rows: int) -> Problem:
 
 def _ours(name: str, constraint: Constraint, problem: Problem) -> Answer:
     task = Task(
-        constraint, scale_free=False, binned=False, errors_known=True, blurred=False, camera=False, robust=False
+        constraint,
+        scale_free=False,
+        binned=False,
+        errors_known=True,
+        blurred=False,
+        camera=False,
+        perpendicular=False,
+        robust=False,
     )
     model = WholeDipole(jnp.asarray(ETA)) if name == "dipole" else model_of("mc", ETA, 0.0)
     batch, n = problem.rd.shape

@@ -46,6 +46,8 @@ class Task(NamedTuple):
     """Whether the spot is wide enough to matter."""
     camera: bool
     """Whether a camera at an angle saw the light, so that the model's own exit law counts."""
+    perpendicular: bool
+    """Whether it saw each radius at a right angle, else the mean over all azimuths."""
     robust: bool
     """Huber's loss in place of squares."""
 
@@ -135,7 +137,7 @@ def _reweighted(task: Task, model: ForwardModel, data: Curves, known: Float[Arra
     if task.camera:
         medium = medium_of(model, point)
         law = DipoleModel(model.eta).total_radiance_factor(medium, data.cos_view)
-        seen = model.radiance_factor(medium, centre, data.cos_view) / law
+        seen = model.radiance_factor(medium, centre, data.cos_view, perpendicular=task.perpendicular) / law
         total_seen = model.total_radiance_factor(medium, data.cos_view) / law
         if task.constraint == "exact":
             point = point._replace(q=q_of_total(model, data.total_r / total_seen))

@@ -30,6 +30,8 @@ _TILE_ETA = 1.35
 """Sintered PTFE."""
 _MUCH_LOST = 0.02
 _DISAGREE_REL = 0.02
+_DISAGREE_PER_SINE = 0.6
+"""Light runs outwards: across the view less is seen than on average, by up to this times the squared sine inside."""
 _LEAST_BINS = 10
 
 
@@ -94,9 +96,10 @@ def measure_slice(
         if not sample.is_saturated(channel):
             totals[channel] = back.light * per_light
             totals_sd[channel] = totals[channel] * float(np.hypot(back.sd / back.light, scale_rel_sd[-1]))
+        differ = any(_disagree(side, back.profile, around) for side in profiles.values())
         raised = {
             "light_lost": max(back.lost_fraction, incident.lost_fraction) > _MUCH_LOST,
-            "slice_radial_disagree": not options.radial and any(_disagree(p, back.profile) for p in profiles.values()),
+            "slice_radial_disagree": differ and not options.radial,
         }
         flags += [flag for flag, is_raised in raised.items() if is_raised]
     if not channels:
@@ -107,6 +110,7 @@ def measure_slice(
         flux="incident",
         exit="fresnel",
         view_angle_deg=geometry.view_angle_deg,
+        azimuth="mean" if options.radial else "perpendicular",
         incidence_deg=session.beam.incidence_deg,
         total_r=totals,
         total_r_sd=totals_sd,
@@ -154,14 +158,15 @@ def _common_errors(back: Total, incident: Total, timing: Mapping[str, Timing], e
     ]
 
 
-def _disagree(side: Profile, everywhere: Profile) -> bool:
-    """Whether one side of the slice departs from the whole image by more than noise and a few percent."""
+def _disagree(side: Profile, everywhere: Profile, around: Surroundings) -> bool:
+    """Whether one side of the slice departs from the whole image by more than noise, a few percent and the exit law."""
     clear = (side.value > 10 * side.sd) & (side.r < everywhere.r[-1])
     if clear.sum() < _LEAST_BINS:
         return False
     departure = side.value[clear] / everywhere.curve()(side.r[clear]) - 1
     noise = np.median(side.sd[clear] / side.value[clear])
-    return bool(np.median(np.abs(departure)) > np.hypot(_DISAGREE_REL, 2 * noise))
+    exit_law = _DISAGREE_PER_SINE * (np.sin(np.radians(around.view_angle_deg)) / around.eta) ** 2
+    return bool(np.median(np.abs(departure)) > np.hypot(_DISAGREE_REL, 2 * noise) + exit_law)
 
 
 def reflectance_of(tile: Reference, channel: str, session: Session, image: Image) -> float:

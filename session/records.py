@@ -29,6 +29,7 @@ FrameKind = Literal[
 ]
 Flux = Literal["incident", "entering"]
 Exit = Literal["hemisphere", "lambertian", "fresnel"]
+Azimuth = Literal["perpendicular", "mean"]
 BeamKind = Literal["white", "led", "laser"]
 Status = Literal["converged", "upper_bound", "unidentifiable", "failed"]
 Array = NDArray[np.float64]
@@ -165,6 +166,8 @@ class Slice:
     flux: Flux
     exit: Exit
     view_angle_deg: float = 45.0
+    azimuth: Azimuth = "perpendicular"
+    """Of the camera about the normal: at a right angle to the radius, or the mean over a whole image."""
     incidence_deg: float = 0.0
     total_r: dict[str, float] = field(default_factory=dict)
     """Total reflectance by channel in the convention of the curve; a channel may be missing."""

@@ -55,6 +55,7 @@ HEADER: dict[str, Check] = {
     "flux": choice("incident", "entering"),
     "exit": choice("hemisphere", "lambertian", "fresnel"),
     "view_angle_deg": _ANGLE,
+    "azimuth": choice("perpendicular", "mean"),
     "incidence_deg": _ANGLE,
     "spot_radius_mm": number(above=0),
     "spot_radius_sd_mm": _NOT_NEGATIVE,

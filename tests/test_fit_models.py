@@ -89,7 +89,7 @@ def test_a_camera_at_an_angle_sees_the_tables_own_exit_law() -> None:
     with jax.enable_x64(True):
         table = model_of("mc", 1.3, 0.8)
         r = jnp.linspace(0.3, 12, 64)
-        seen = np.asarray(table.rd(medium, r) * table.radiance_factor(medium, r, mu))
+        seen = np.asarray(table.rd(medium, r) * table.radiance_factor(medium, r, mu, perpendicular=True))
         total = float(table.total(medium) * table.total_radiance_factor(medium, mu))
         fresnel = float(DipoleModel(1.3).total_radiance_factor(medium, mu))
     assert total / float(table.total(medium)) < 0.99 * fresnel

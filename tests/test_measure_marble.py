@@ -8,8 +8,9 @@ import tifffile
 from scipy.interpolate import make_smoothing_spline
 
 from bssrdf.measure.session import measure_session
-from bssrdf.rig.sim.light import RadialLight
-from bssrdf.rig.sim.picture import View, blurred, picture
+from bssrdf.rig.sim.blurred import Radiance
+from bssrdf.rig.sim.light import SeenLight
+from bssrdf.rig.sim.picture import View, picture
 from bssrdf.session.frames_csv import write_frames
 from bssrdf.session.records import Beam, Camera, Frame, Geometry, Material, Reference, Session
 from bssrdf.transport.discrete_ordinates import half_space
@@ -25,7 +26,7 @@ BLACK, WHITE, READ_NOISE_E, RHO = 512, 65535, 3.0, 0.99
 
 
 @pytest.fixture(scope="module")
-def marble() -> RadialLight:
+def marble() -> SeenLight:
     """Monte Carlo light, its noise smoothed over the radius, scaled to the exact total at this angle."""
     lo, hi, light, error = np.loadtxt(LIGHT, delimiter=",", skiprows=4).T
     area, middle = np.pi * (hi**2 - lo**2)[1:], np.sqrt(lo[1:] * hi[1:])
@@ -39,7 +40,7 @@ def marble() -> RadialLight:
     total = float(transmittance(ETA, np.array(1.0)) * seen)
     beyond = np.append(np.cumsum(np.append(light[0], rings)[::-1])[::-1], 0.0)
     assert beyond[0] == pytest.approx(total, rel=3e-3)
-    return RadialLight(fine, beyond * total / beyond[0])
+    return SeenLight(fine, beyond * total / beyond[0])
 
 
 def tile_picture(view):
@@ -54,7 +55,7 @@ def tile_picture(view):
     return total
 
 
-def write_session(path: Path, light: RadialLight, seed: int) -> Session:
+def write_session(path: Path, light: SeenLight, seed: int) -> Session:
     """Glare of 1e-5 of the sample's peak; the same unknown error of up to 3 % on each label of both."""
     rng = np.random.default_rng(seed)
     (path / "frames").mkdir(parents=True)
@@ -85,14 +86,14 @@ def write_session(path: Path, light: RadialLight, seed: int) -> Session:
     )
 
 
-def errors(tmp_path: Path, light: RadialLight, seed: int):
+def errors(tmp_path: Path, light: SeenLight, seed: int):
     """Relative errors of R, of the curve from 1 to 20 mfp′, and the curve's stated ones."""
     measured = measure_session(write_session(tmp_path / str(seed), light, seed), glare=True).slice
     part = measured.channels["G"]
-    curve = blurred(light, SPOT_MM, 20.0)
+    curve = Radiance(light, SPOT_MM, 20.0)
     nodes, weights = np.polynomial.legendre.leggauss(5)
     r = (part.r_hi_mm + part.r_lo_mm) / 2 + np.outer(nodes, part.r_hi_mm - part.r_lo_mm) / 2
-    truth = np.sum(weights[:, None] * r * np.exp(curve(r)), 0) / np.sum(weights[:, None] * r, 0)
+    truth = np.sum(weights[:, None] * r * curve(r, np.zeros_like(r)), 0) / np.sum(weights[:, None] * r, 0)
     window = (part.r_mm > MFP_MM) & (part.r_mm < 20 * MFP_MM)
     return (
         measured.total_r["G"] / light.total - 1,

@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from bssrdf.rig.sim.light import RadialLight
+from bssrdf.rig.sim.light import SeenLight
 from bssrdf.rig.sim.picture import View, picture
 
 
-def exponential(total: float, length_mm: float) -> RadialLight:
+def exponential(total: float, length_mm: float) -> SeenLight:
     """Light whose share beyond r is total × exp(−r/length): 1/r at the centre, as R_d is."""
     r = np.concatenate([[0.0], np.geomspace(1e-3, 60 * length_mm, 120)])
-    return RadialLight(r, total * np.exp(-r / length_mm))
+    return SeenLight(r, total * np.exp(-r / length_mm))
 
 
 def surface_sum(image: np.ndarray, view: View) -> float:
@@ -45,7 +45,7 @@ def test_far_from_the_spot_the_picture_is_the_curve() -> None:
 
 
 def test_the_spot_of_a_surface_without_scattering_is_the_beam() -> None:
-    point = RadialLight(np.array([0.0, 1e-4, 2e-4]), np.array([1.0, 1e-9, 1e-12]))
+    point = SeenLight(np.array([0.0, 1e-4, 2e-4]), np.array([1.0, 1e-9, 1e-12]))
     view = View((101, 101), 0.02, 0.0, spot_radius_mm=0.4)
     image = picture(point, view)
     assert image.max() == pytest.approx(2 / (np.pi * 0.4**2), rel=1e-2)

@@ -7,9 +7,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from bssrdf.rig.sim.light import SampleMedium, radial_light, unit_medium, walked
+from bssrdf.rig.sim.light import SampleMedium, r_edges_mfp, seen_light, unit_medium, walked
 from bssrdf.rig.sim.serial_devices import Sc10, Scpi, Uniblitz
 from bssrdf.rig.sim.world import World
+from bssrdf.transport.discrete_ordinates import half_space
+from bssrdf.transport.exit_radiance import transmittance
 
 
 class NearWorld:
@@ -130,9 +132,31 @@ def test_the_scpi_controller_queues_errors_and_its_watchdog_makes_the_bench_safe
 
 def test_the_shipped_light_is_what_the_walk_gives() -> None:
     medium = SampleMedium(0.17, 0.88, 1.3)
-    shipped = radial_light(medium, 45.0, photons=1, seed=1)
-    fresh = walked(unit_medium(medium), 45.0, photons=40_000, seed=5)
-    assert shipped.total == pytest.approx(fresh[0], rel=0.03)
-    half = fresh / fresh[0]
-    near = (half > 0.05) & (half < 0.95)
-    np.testing.assert_allclose(shipped.beyond[near], fresh[near], rtol=0.05)
+    shipped = seen_light(medium, 45.0, photons=1, seed=1)
+    beyond, line_beyond, *harmonics = walked(unit_medium(medium), 45.0, photons=100_000, seed=5)
+    assert shipped.line_beyond is not None
+    assert shipped.harmonics is not None
+    assert shipped.total == pytest.approx(beyond[0] + line_beyond[0], rel=0.01)
+    near = (beyond > 0.05 * beyond[0]) & (beyond < 0.95 * beyond[0])
+    np.testing.assert_allclose(shipped.beyond[near], beyond[near], rtol=0.03)
+    np.testing.assert_allclose(shipped.line_beyond[near], line_beyond[near], atol=0.01 * line_beyond[0])
+    np.testing.assert_allclose(shipped.harmonics[0, near[:-1]], harmonics[0][:-1][near[:-1]], atol=0.03)
+
+
+def test_the_light_towards_the_camera_adds_up_to_the_exact_total() -> None:
+    medium = SampleMedium(0.3, 0.7, 1.4)
+    beyond, line_beyond, *_ = walked(medium, 45.0, photons=400_000, seed=3)
+    exact = half_space(0.7, 0.0, 1.4, np.array([np.sqrt(0.5)])).radiance[0]
+    entering = float(transmittance(1.4, np.array(1.0)))
+    assert beyond[0] + line_beyond[0] == pytest.approx(entering * exact, rel=3e-3)
+
+
+def test_light_scattered_once_is_the_closed_form() -> None:
+    medium, r = SampleMedium(0.3, 0.7, 1.4), r_edges_mfp()
+    _, line_beyond, *_ = walked(medium, 45.0, photons=400_000, seed=4)
+    sine = np.sqrt(0.5)
+    per_length = 1.4 * (1 + np.sqrt(1 - (sine / 1.4) ** 2)) / sine
+    passing = transmittance(1.4, np.array(sine)) * transmittance(1.4, np.array(1.0))
+    expected = np.pi * 0.7 / (4 * np.pi) * passing / (1.4 * sine * per_length) * np.exp(-per_length * r)
+    near = r < 1
+    np.testing.assert_allclose(line_beyond[near], expected[near], rtol=0.02)

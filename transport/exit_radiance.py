@@ -1,7 +1,11 @@
 """Radiance at a camera angle from binned exit directions. Dimensionless; angles enter as cosines outside, `mu`.
 
 A radiance factor is π L(mu)/M: 1 at every angle for a Lambertian surface. Just below the surface radiance is smooth in
-the direction, so the factor is Fresnel's transmittance times a low polynomial in the cosine inside.
+the direction, so its mean over all azimuths is Fresnel's transmittance times a low polynomial in the cosine inside.
+
+Away from the beam light still runs outwards, so that it is not the same at every azimuth about the normal: a camera
+whose plane of view stands at a right angle to the radius sees less than the mean. The difference vanishes at the normal
+as the square of the sine inside, times a polynomial again.
 """
 
 from __future__ import annotations
@@ -15,7 +19,8 @@ Floats = NDArray[np.float64]
 
 N_MU = 20
 """Bins of exit direction, uniform in mu², so that Lambertian light fills them equally."""
-DEGREE = 3
+DEGREE = 4
+DEGREE_ACROSS = 2
 MAX_ANGLE_DEG = 80.0
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(8)
@@ -30,20 +35,32 @@ def transmittance(eta: float, mu: Floats) -> Floats:
 
 
 def shape_basis(eta: float, mu: Floats) -> Floats:
-    """Ft times powers of the cosine inside, about the middle of its range; shape (…, DEGREE + 1)."""
+    """Ft times Legendre polynomials of the cosine inside, over its range; shape (…, DEGREE + 1)."""
+    return transmittance(eta, mu)[..., None] * _polynomials(eta, mu, DEGREE)
+
+
+def across_basis(eta: float, mu: Floats) -> Floats:
+    """The same for what an azimuth at a right angle to the radius adds; shape (…, DEGREE_ACROSS + 1)."""
+    square_of_sine = (1 - mu * mu) / eta**2
+    return (transmittance(eta, mu) * square_of_sine)[..., None] * _polynomials(eta, mu, DEGREE_ACROSS)
+
+
+def _polynomials(eta: float, mu: Floats, degree: int) -> Floats:
+    """Legendre's, of the cosine inside: −1 for light that leaves along the surface, 1 along the normal."""
     grazing = np.sqrt(1 - 1 / eta**2)
     inside = np.sqrt(1 - (1 - mu * mu) / eta**2)
     centred = (2 * inside - 1 - grazing) / (1 - grazing)
-    return transmittance(eta, mu)[..., None] * centred[..., None] ** np.arange(DEGREE + 1)
+    return np.polynomial.legendre.legvander(centred, degree).reshape(*np.shape(mu), degree + 1)
 
 
 @functools.cache
-def share_to_coefficients(eta: float) -> Floats:
-    """Least squares from the shares of the bins to the polynomial, shape (DEGREE + 1, N_MU), errors as of counts."""
+def share_to_coefficients(eta: float, *, across: bool = False) -> Floats:
+    """Least squares from the shares of the bins to either basis, shape (degree + 1, N_MU), errors as of counts."""
     square = (np.arange(N_MU)[:, None] + (1 + _NODES) / 2) / N_MU
-    mean = np.einsum("bqk,q->bk", shape_basis(eta, np.sqrt(square)), _WEIGHTS / 2)
-    expected = mean[:, :1] / mean[:, 0].sum()
-    scale = 1 / np.sqrt(expected)
+    mu = np.sqrt(square)
+    expected = np.einsum("bq,q->b", transmittance(eta, mu), _WEIGHTS)[:, None]
+    mean = np.einsum("bqk,q->bk", (across_basis if across else shape_basis)(eta, mu), _WEIGHTS / 2)
+    scale = 1 / np.sqrt(expected / expected.sum())
     return np.linalg.pinv(mean * scale / N_MU) * scale.T
 
 

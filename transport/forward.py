@@ -58,8 +58,11 @@ class ForwardModel(Protocol):
         """Total diffuse reflectance."""
         ...
 
-    def radiance_factor(self, medium: Medium, r: Real, mu: Real) -> Float[Array, "..."]:
-        """π L/R_d at radius r towards the outside cosine `mu`: 1 for a Lambertian surface."""
+    def radiance_factor(self, medium: Medium, r: Real, mu: Real, *, perpendicular: bool) -> Float[Array, "..."]:
+        """π L/R_d at radius r towards the outside cosine `mu`: 1 for a Lambertian surface.
+
+        `perpendicular`: the plane of view stands at a right angle to the radius; else the mean over all azimuths.
+        """
         ...
 
     def total_radiance_factor(self, medium: Medium, mu: Real) -> Float[Array, "..."]:
@@ -97,8 +100,8 @@ class DipoleModel(NamedTuple):
     def total(self, medium: Medium) -> Float[Array, "..."]:
         return dipole.total_r(medium)
 
-    def radiance_factor(self, medium: Medium, r: Real, mu: Real) -> Float[Array, "..."]:
-        """Ft/C at every radius: the paper's exit law, normalised."""
+    def radiance_factor(self, medium: Medium, r: Real, mu: Real, *, perpendicular: bool) -> Float[Array, "..."]:
+        """Ft/C at every radius and azimuth: the paper's exit law, normalised."""
         return jnp.broadcast_to(self.total_radiance_factor(medium, mu), jnp.shape(r))
 
     def total_radiance_factor(self, medium: Medium, mu: Real) -> Float[Array, "..."]:

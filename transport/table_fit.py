@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 from scipy.linalg import cho_factor, cho_solve
 
-from bssrdf.transport.exit_radiance import DEGREE, share_to_coefficients
+from bssrdf.transport.exit_radiance import share_to_coefficients
 from bssrdf.transport.table_grid import (
     N_Q,
     N_U_CELLS,
@@ -59,7 +59,8 @@ class FittedTable(NamedTuple):
     log_curve_sd: Floats
     """(N_Q, N_V_CELLS + 1): standard error of S, relative error of the curve, at the knots."""
     angles: Floats
-    """(N_U_COARSE + 3, N_V_COARSE + 3, DEGREE + 1): shape of the exit radiance, see `exit_radiance`."""
+    """(N_U_COARSE + 3, N_V_COARSE + 3, DEGREE + DEGREE_ACROSS + 2): shape of its exit radiance over all azimuths, and
+    what one at a right angle to the radius adds, see `exit_radiance`."""
     chi2: float
     """Mean square of the residuals of the bins in their standard errors."""
 
@@ -143,30 +144,40 @@ def _penalty() -> Floats:
 
 
 def _fit_angles(samples: WhiteSamples, e: int, edges: Floats) -> Floats:
-    """Polynomial coefficients of the exit radiance on the coarse grid, smoothed."""
-    q = q_nodes()
-    light = samples.angles[e]
-    flux = light.sum(-1)
-    share = light / np.where(flux > 0, flux, 1)[..., None]
-    error = samples.angles_se[e] / np.where(flux > 0, flux, 1)[..., None]
-    to_coefficients = share_to_coefficients(float(samples.etas[e]))
+    """Coefficients of the exit radiance on the coarse grid, smoothed."""
+    eta = float(samples.etas[e])
+    flux = samples.angles[e].sum(-1)
+    over = np.where(flux > 0, flux, 1)[..., None]
+    middle = np.sqrt(edges[:, :-1:COARSE] * edges[:, COARSE::COARSE] + R_ZERO**2)
+    all_azimuths = _smooth_coefficients(
+        samples.angles[e] / over, samples.angles_se[e] / over, share_to_coefficients(eta), flux > 0, middle
+    )
+    across = _smooth_coefficients(
+        samples.across[e] / over, samples.across_se[e] / over, share_to_coefficients(eta, across=True), flux > 0, middle
+    )
+    return np.concatenate([all_azimuths, across], axis=-1)
+
+
+def _smooth_coefficients(
+    share: Floats, error: Floats, to_coefficients: Floats, lit: NDArray[np.bool_], middle: Floats
+) -> Floats:
+    """Splines through the coefficients of each bin, shape (N_U_COARSE + 3, N_V_COARSE + 3, n_coefficients)."""
     values = share @ to_coefficients.T
     errors = np.sqrt(error**2 @ (to_coefficients.T**2))
-    middle = np.sqrt(edges[:, :-1:COARSE] * edges[:, COARSE::COARSE] + R_ZERO**2)
-    rows, bins = np.nonzero((flux > 0) & (errors[..., 0] < MAX_RELATIVE_ERROR))
+    rows, bins = np.nonzero(lit & (errors[..., 0] < MAX_RELATIVE_ERROR))
     design = _row_kron(
-        basis(u_of(q)[rows], U_MAX, N_U_COARSE),
+        basis(u_of(q_nodes())[rows], U_MAX, N_U_COARSE),
         basis(np.log1p(middle[rows, bins] / R_ZERO), V_MAX, N_V_COARSE),
     )
     n_u, n_v = N_U_COARSE + 3, N_V_COARSE + 3
     second_u, second_v = np.diff(np.eye(n_u), 2, axis=0), np.diff(np.eye(n_v), 2, axis=0)
     rough = np.kron(second_u.T @ second_u, np.eye(n_v)) + np.kron(np.eye(n_u), second_v.T @ second_v)
-    out = np.empty((n_u, n_v, DEGREE + 1))
-    for k in range(DEGREE + 1):
-        weighted = design.multiply(1 / np.maximum(errors[rows, bins, k], 1e-4)[:, None]).tocsr()
+    out = np.empty((n_u, n_v, to_coefficients.shape[0]))
+    for k in range(out.shape[-1]):
+        weight = 1 / np.maximum(errors[rows, bins, k], 1e-4)
+        weighted = design.multiply(weight[:, None]).tocsr()
         normal = (weighted.T @ weighted).toarray() + rough / ANGLE_ROUGHNESS**2
-        right = weighted.T @ (values[rows, bins, k] / np.maximum(errors[rows, bins, k], 1e-4))
-        out[..., k] = np.linalg.solve(normal, right).reshape(n_u, n_v)
+        out[..., k] = np.linalg.solve(normal, weighted.T @ (weight * values[rows, bins, k])).reshape(n_u, n_v)
     return out
 
 

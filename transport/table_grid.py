@@ -32,8 +32,8 @@ U_MAX = float(u_of(Q_MAX))
 V_MAX = float(np.log1p(R_MAX / R_ZERO))
 N_U_CELLS = N_Q - 1
 N_V_CELLS = 46
-N_U_COARSE = 8
-N_V_COARSE = 10
+N_U_COARSE = 10
+N_V_COARSE = 20
 RHO_ZERO = 0.02
 RHO_MAX = 100.0
 """[1/σt] Light scattered once is tabulated over ln(1 + ρ/RHO_ZERO); beyond, it is below e^−200 of all."""

@@ -18,6 +18,7 @@ from bssrdf.transport.dipole import Medium, _decay
 from bssrdf.transport.exit_radiance import DEGREE
 from bssrdf.transport.fresnel import fresnel_t
 from bssrdf.transport.precision import Real
+from bssrdf.transport.single import phase_hg
 from bssrdf.transport.table_grid import (
     N_U_CELLS,
     N_U_COARSE,
@@ -51,9 +52,9 @@ class TableModel(NamedTuple):
     """ln(ρ R⁽¹⁾/(σs σt)) + first_decay ρ along ln(1 + ρ/RHO_ZERO), ρ = σt r."""
     first_decay: Real
     angles: Float[Array, "u k 4 v"]
-    """Shape of the exit radiance of the curve, see `exit_radiance`."""
+    """Shape of the exit radiance of the light scattered twice or more, see `table_fit`."""
     total_angles: Float[Array, "k 4 u"]
-    """The same of the total."""
+    """The same of the total, over all azimuths."""
 
     @property
     def name(self) -> str:
@@ -93,12 +94,25 @@ class TableModel(NamedTuple):
         self.check(medium, 0.0)
         return medium.albedo_p * jnp.exp(-_cubic(self.log_total, _u(medium)))
 
-    def radiance_factor(self, medium: Medium, r: Real, mu: Real) -> Float[Array, "..."]:
-        """π L/R_d at radius r towards the outside cosine `mu`: 1 for a Lambertian surface."""
+    def radiance_factor(self, medium: Medium, r: Real, mu: Real, *, perpendicular: bool) -> Float[Array, "..."]:
+        """π L/R_d at radius r > 0 towards the outside cosine `mu`: 1 for a Lambertian surface.
+
+        `perpendicular`: seen at a right angle to the radius, else the mean over all azimuths. Light scattered once
+        runs along the radius and shows in the mean only.
+        """
         self.check(medium, r)
         rows = _rows(self.angles, _u(medium), N_U_COARSE)
         v = jnp.minimum(jnp.log1p(r * medium.sigma_tp / R_ZERO) / V_MAX, 1)
-        return _exit_lobe(self.eta, mu, [_cubic(rows[..., k, :, :], v) for k in range(DEGREE + 1)])
+        shape = [_cubic(rows[..., k, :, :], v) for k in range(rows.shape[-3])]
+        lobe = _exit_lobe(self.eta, mu, shape[: DEGREE + 1])
+        multiple = self._multiple(medium, r)
+        if perpendicular:
+            square_of_sine = (1 - jnp.square(mu)) / jnp.square(self.eta)
+            lobe += square_of_sine * _exit_lobe(self.eta, mu, shape[DEGREE + 1 :])
+            seen = multiple * lobe
+        else:
+            seen = multiple * lobe + self._first_radiance(medium, r, mu)
+        return seen / (self._first(medium, r) + multiple)
 
     def total_radiance_factor(self, medium: Medium, mu: Real) -> Float[Array, "..."]:
         """π L/R over the whole surface towards the outside cosine `mu`: 1 for a Lambertian surface."""
@@ -131,6 +145,16 @@ class TableModel(NamedTuple):
         rho = sigma_t * r
         w = jnp.log1p(rho / RHO_ZERO) / W_MAX
         return sigma_s / r * jnp.exp(_cubic(self.first, jnp.minimum(w, 1)) - self.first_decay * rho)
+
+    def _first_radiance(self, medium: Medium, r: Real, mu: Real) -> Float[Array, "..."]:
+        """π L⁽¹⁾, the mean over all azimuths; see `single.first_order_bin_average` for the geometry."""
+        sine = jnp.sqrt(1 - jnp.square(mu))
+        inside = jnp.sqrt(1 - jnp.square(sine / self.eta))
+        sigma_s = medium.sigma_sp / (1 - self.g)
+        path = (sigma_s + medium.sigma_a) * self.eta * (1 + inside) * r
+        safe = jnp.maximum(sine, jnp.finfo(jnp.result_type(sine)).tiny ** 0.25)
+        decay = jnp.exp(-path / safe) / safe
+        return sigma_s * phase_hg(self.g, -inside) * fresnel_t(self.eta, mu) * decay / (2 * self.eta * r)
 
     def _multiple(self, medium: Medium, r: Real) -> Float[Array, "..."]:
         u = _u(medium)
@@ -178,8 +202,12 @@ def _cubic(cells: Float[Array, "... 4 n"], t: Float[Array, "..."]) -> Float[Arra
 
 
 def _exit_lobe(eta: Real, mu: Real, shape: list[Float[Array, "..."]]) -> Float[Array, "..."]:
-    """Ft times the polynomial of `exit_radiance` in the cosine inside."""
+    """Ft times the sum of Legendre polynomials of `exit_radiance` in the cosine inside."""
     grazing = jnp.sqrt(1 - 1 / jnp.square(eta))
     inside = jnp.sqrt(1 - (1 - jnp.square(mu)) / jnp.square(eta))
     centred = (2 * inside - 1 - grazing) / (1 - grazing)
-    return fresnel_t(eta, mu) * sum(coefficient * centred**k for k, coefficient in enumerate(shape))
+    before, polynomial, lobe = jnp.zeros_like(centred), jnp.ones_like(centred), jnp.zeros_like(centred)
+    for k, coefficient in enumerate(shape):
+        lobe += coefficient * polynomial
+        before, polynomial = polynomial, ((2 * k + 1) * centred * polynomial - k * before) / (k + 1)
+    return fresnel_t(eta, mu) * lobe

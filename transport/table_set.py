@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 Floats = NDArray[np.float64]
 
-FORMAT = 1
+FORMAT = 2
 KIND = "bssrdf white table"
 NEIGHBOURS = 4
 """Nodes of η and of g that take part in an interpolation, at most."""

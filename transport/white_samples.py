@@ -48,8 +48,11 @@ class WhiteSamples:
     """(…, N_R + 1) light scattered twice or more by radial bin of the node's own walk; the last bin is all beyond."""
     curve_se: Floats
     angles: Floats
-    """(…, N_R / COARSE, N_MU) light of all orders by exit direction."""
+    """(…, N_R / COARSE, N_MU) light scattered twice or more by exit direction."""
     angles_se: Floats
+    across: Floats
+    """(…, N_R / COARSE, N_MU) how much more of it there is at a right angle to the radius than over all azimuths."""
+    across_se: Floats
     totals: Floats
     """(…, 2) light scattered once, and twice or more."""
     totals_se: Floats
@@ -74,7 +77,7 @@ class Walk:
 
     def batch(
         self, seed: int, index: int, n_photons: int, stop: threading.Event
-    ) -> tuple[Floats, Floats, Floats, float] | None:
+    ) -> tuple[Floats, Floats, Floats, Floats, float] | None:
         """Scores of one stream per photon, and its processor time; None if stopped before its end."""
         albedos = albedo_of(self.q, self.g)
         kappas = np.array([decay_constant(albedo, self.g) for albedo in albedos])
@@ -84,6 +87,7 @@ class Walk:
         shape = (self.etas.size, self.q.size)
         curve = np.zeros((N_R + 1, *shape))
         angles = np.zeros((N_R // COARSE, *shape, N_MU))
+        across = np.zeros_like(angles)
         totals = np.zeros((2, *shape))
         began = time.thread_time()
         chunk = max(1, n_photons // 20)
@@ -105,9 +109,11 @@ class Walk:
                 JUMP_MARGIN * unit,
                 curve,
                 angles,
+                across,
                 totals,
             )
-        return curve / n_photons, angles / n_photons, totals / n_photons, time.thread_time() - began
+        seconds = time.thread_time() - began
+        return curve / n_photons, angles / n_photons, across / n_photons, totals / n_photons, seconds
 
 
 def radius_of_bin_edges(q: Floats, g: float) -> Floats:
@@ -127,7 +133,7 @@ def seconds_per_photon(g: float, etas: Floats, seed: int = 0) -> Floats:
         walk.batch(seed, 0, 1, stop)
         trial = walk.batch(seed, 1, PILOT_PHOTONS, stop)
         assert trial is not None
-        costs.append(trial[3] / PILOT_PHOTONS)
+        costs.append(trial[-1] / PILOT_PHOTONS)
     return np.array(costs)
 
 
@@ -157,9 +163,9 @@ def sample(
         raise KeyboardInterrupt
     by_kind = [
         [np.stack([done[i][kind] for i in range(group, len(done), len(GROUPS))]) for group in range(len(GROUPS))]
-        for kind in range(3)
+        for kind in range(4)
     ]
-    curve, angles, totals = (
+    curve, angles, across, totals = (
         np.concatenate([np.moveaxis(group, (2, 3), (1, 2)) for group in kind], axis=2) for kind in by_kind
     )
     error = functools.partial(np.std, axis=0, ddof=1)
@@ -171,8 +177,10 @@ def sample(
         error(curve) / root,
         angles.mean(0),
         error(angles) / root,
+        across.mean(0),
+        error(across) / root,
         totals.mean(0),
         error(totals) / root,
         per_batch * N_BATCHES,
-        float(sum(result[3] for result in done)),
+        float(sum(result[-1] for result in done)),
     )

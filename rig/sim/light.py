@@ -1,4 +1,4 @@
-"""The light that leaves a sample under the camera's angle: photon transport with absorption in the walk.
+"""The light that leaves a sample towards the camera: photon transport with absorption in the walk (`peel_off`).
 
 Not the dipole and not a white table, so that no fit is tested on its own model. Lengths in mm, coefficients in 1/mm.
 """
@@ -10,7 +10,9 @@ import hashlib
 import importlib.resources
 import inspect
 import json
+import threading
 from dataclasses import asdict, dataclass
+from typing import Any
 
 import numpy as np
 import platformdirs
@@ -24,12 +26,14 @@ Array = NDArray[np.float64]
 _BINS_PER_E_FOLD = 10
 _REACH_MFP = (0.005, 2000.0)
 """Innermost and outermost edge of the radial bins above 0, in reduced mean free paths."""
+_AZIMUTHS = 36
+"""Bins of azimuth over half a turn."""
+_HARMONICS = 12
 _FAINT = 1e-6
 """Share of the light below which an annulus is too faint to smooth."""
 _BINS_A_KNOT = 4
-"""Bins between the knots of the smooth light; between those of its angular factor, twice that."""
-_HALF_WINDOW = 0.1
-"""Light that leaves within this of the camera's cos² counts as seen by it: ±6° at 45°, a bias below 0.1 %."""
+"""Bins between the knots of the smooth light; between those of its harmonics, twice that."""
+_BATCHES = 32
 SHIPPED = "light.npz"
 """File beside this one."""
 
@@ -53,21 +57,30 @@ class Sample:
 
 
 @dataclass(frozen=True)
-class RadialLight:
-    """Exiting light by distance from a thin beam, as π L/Φ: L the radiance at one exit angle, Φ the incident flux."""
+class SeenLight:
+    """Exiting light by place, as π L/Φ: L the radiance towards the camera, Φ the flux of a thin incident beam.
+
+    Light scattered more than once fills the surface. It runs outwards, so that it is brighter where that is towards the
+    camera: π L ∝ 1 + Σ harmonics[k] cos((k + 1) φ), φ the azimuth from there. Light scattered once leaves in its plane:
+    seen from an angle it is a line from the beam towards the camera.
+    """
 
     r_edges_mm: Array
     """(n,), ascending from 0."""
     beyond: Array
-    """(n,): ∫ π L/Φ dA over everything farther out than each edge."""
+    """(n,): ∫ π L/Φ dA of what fills the surface, over everything farther out than each edge."""
+    harmonics: Array | None = None
+    """(_HARMONICS, n − 1), by annulus; None where all azimuths are alike."""
+    line_beyond: Array | None = None
+    """(n,): the same as `beyond` of the line."""
 
     @property
     def total(self) -> float:
         """The radiance factor of the sample under even light."""
-        return float(self.beyond[0])
+        return float(self.beyond[0] + (0.0 if self.line_beyond is None else self.line_beyond[0]))
 
 
-def radial_light(medium: SampleMedium, view_angle_deg: float, *, photons: int, seed: int) -> RadialLight:
+def seen_light(medium: SampleMedium, view_angle_deg: float, *, photons: int, seed: int) -> SeenLight:
     """The light of a half space lit at normal incidence, seen under `view_angle_deg`.
 
     Taken from the light that ships with the package where it has this medium and angle (`make_light`), else walked
@@ -75,10 +88,10 @@ def radial_light(medium: SampleMedium, view_angle_deg: float, *, photons: int, s
     mean free paths 1/σt′, which media of one albedo share.
     """
     unit = unit_medium(medium)
-    beyond = _shipped().get(light_key(unit, view_angle_deg))
-    if beyond is None:
-        beyond = _cached(unit, view_angle_deg, photons, seed)
-    return RadialLight(r_edges_mfp() / (medium.sigma_a + medium.sigma_sp), beyond)
+    rows = _shipped().get(light_key(unit, view_angle_deg))
+    if rows is None:
+        rows = _cached(unit, view_angle_deg, photons, seed)
+    return SeenLight(r_edges_mfp() / (medium.sigma_a + medium.sigma_sp), rows[0], rows[2:, :-1], rows[1])
 
 
 def unit_medium(medium: SampleMedium) -> SampleMedium:
@@ -98,36 +111,53 @@ def r_edges_mfp() -> Array:
     return np.concatenate([[0.0], np.exp(np.linspace(lo, hi, round(_BINS_PER_E_FOLD * (hi - lo))))])
 
 
-def walked(unit: SampleMedium, view_angle_deg: float, photons: int, seed: int) -> Array:
-    """`RadialLight.beyond` for a medium whose σt′ is 1, from the walk itself."""
-    from bssrdf.transport.engine import MonteCarloMedium, simulate
+def walked(unit: SampleMedium, view_angle_deg: float, photons: int, seed: int, n_threads: int | None = None) -> Array:
+    """`SeenLight` of a medium whose σt′ is 1, from the walk itself: rows `beyond`, `line_beyond` and the harmonics."""
+    from bssrdf.rig.sim.peel_off import peel_off
     from bssrdf.transport.exit_radiance import transmittance
+    from bssrdf.transport.parallel import run_all
+    from bssrdf.transport.photon import stream_states
 
-    medium = MonteCarloMedium.reduced(unit.sigma_a, unit.sigma_sp, unit.g, unit.eta)
-    tally = simulate(medium, r_edges_mm=r_edges_mfp(), n_photons=photons, seed=seed)
+    sigma_s = unit.sigma_sp / (1 - unit.g)
+    sigma_t = sigma_s + unit.sigma_a
+    cos_view = float(np.cos(np.radians(view_angle_deg)))
+    edges = r_edges_mfp() * sigma_t
+    n_r = edges.size - 1
+    bins_per_e_fold = (n_r - 1) / np.log(edges[-1] / edges[1])
+
+    def batch(state: Any) -> tuple[Array, Array]:
+        around, line = np.zeros((n_r, _AZIMUTHS)), np.zeros(n_r)
+        each = -(-photons // _BATCHES)
+        peel_off(each, state, sigma_s / sigma_t, unit.g, unit.eta, cos_view, edges[1], bins_per_e_fold, around, line)
+        return around / each, line / each
+
+    states = stream_states(seed, _BATCHES)
+    done, _ = run_all([functools.partial(batch, state) for state in states], threading.Event(), n_threads, None)
     entering = float(transmittance(unit.eta, np.array(1.0)))
-    by_direction = tally.scores[:, 0].sum(1).mean(0)[:-1]
-    light = by_direction.sum(1)
+    around, line = (np.pi * entering * np.mean([part[kind] for part in done], axis=0) for kind in (0, 1))
+    return _smooth_rows(around, line)
+
+
+def _smooth_rows(around: Array, line: Array) -> Array:
+    """The rows of `walked` with less of the photons' noise; its sums stay."""
+    light = around.sum(1)
     counted = light > _FAINT * light.sum()
-    seen = by_direction @ _window(view_angle_deg, by_direction.shape[1])
-    log_light = _smooth(np.log(light[counted]), light[counted], counted, _BINS_A_KNOT)
-    factor = _smooth(seen[counted] / light[counted], light[counted], counted, 2 * _BINS_A_KNOT)
-    light[counted] = np.exp(log_light) * factor
-    total = entering * tally.total_radiance(view_angle_deg)[0]
-    return beyond_of(light * total / light.sum())
-
-
-def _window(view_angle_deg: float, n_bins: int) -> Array:
-    """Weights of the bins of exit direction, even in cos², whose sum is the radiance factor within ±0.1 of cos²."""
-    edges = np.linspace(0.0, 1.0, n_bins + 1)
-    centre = np.cos(np.radians(view_angle_deg)) ** 2
-    low, high = max(centre - _HALF_WINDOW, 0.0), min(centre + _HALF_WINDOW, 1.0)
-    inside = np.clip(np.minimum(edges[1:], high) - np.maximum(edges[:-1], low), 0.0, None)
-    return inside * n_bins / (high - low)
+    order = np.arange(1, _HARMONICS + 1)
+    width = np.pi / _AZIMUTHS
+    middle = (np.arange(_AZIMUTHS) + 0.5) * width
+    weights = 2 * np.cos(middle[:, None] * order) / np.sinc(order * width / 2 / np.pi)
+    share = light[counted]
+    ratios = (around[counted] @ weights) / share[:, None]
+    harmonics = np.zeros((_HARMONICS, line.size + 1))
+    harmonics[:, :-1][:, counted] = [_smooth(ratio, share, counted, 2 * _BINS_A_KNOT) for ratio in ratios.T]
+    even = np.where(counted, 0.0, light)
+    even[counted] = np.exp(_smooth(np.log(share), share, counted, _BINS_A_KNOT))
+    even *= light.sum() / even.sum()
+    return np.stack([beyond_of(even), beyond_of(line), *harmonics])
 
 
 def _smooth(values: Array, light: Array, counted: NDArray[np.bool_], bins_a_knot: int) -> Array:
-    """A value of the annuli `counted` with less of the photons' noise: a cubic spline in ln r, as light weighs it."""
+    """A value of the annuli `counted`, as a cubic spline in ln r, each weighed by its light."""
     edges = r_edges_mfp()
     log_r = np.log(np.sqrt(np.maximum(edges[1:] * edges[:-1], edges[1:] ** 2 / 4)))[counted]
     knots = np.concatenate([[log_r[0]] * 4, log_r[bins_a_knot:-bins_a_knot:bins_a_knot], [log_r[-1]] * 4])
@@ -143,14 +173,15 @@ def beyond_of(annulus: Array) -> Array:
 def _shipped() -> dict[str, Array]:
     with importlib.resources.files(__package__).joinpath(SHIPPED).open("rb") as file:
         content = np.load(file, allow_pickle=False)
-        return dict(zip(content["keys"].tolist(), content["beyond"].astype(float), strict=True))
+        return dict(zip(content["keys"].tolist(), content["rows"].astype(float), strict=True))
 
 
 def _cached(unit: SampleMedium, view_angle_deg: float, photons: int, seed: int) -> Array:
-    from bssrdf.transport import engine, exit_radiance, photon, walk
+    from bssrdf.rig.sim import light, peel_off
+    from bssrdf.transport import photon
 
-    code = "".join(inspect.getsource(module) for module in (engine, exit_radiance, photon, walk))
-    key = json.dumps([asdict(unit), view_angle_deg, photons, seed, _BINS_PER_E_FOLD, _REACH_MFP, code])
+    code = "".join(inspect.getsource(module) for module in (light, peel_off, photon))
+    key = json.dumps([asdict(unit), view_angle_deg, photons, seed, code])
     file = platformdirs.user_cache_path("bssrdf") / "light" / f"{hashlib.sha256(key.encode()).hexdigest()[:32]}.npy"
     if not file.is_file():
         file.parent.mkdir(parents=True, exist_ok=True)

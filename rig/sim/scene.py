@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bssrdf.rig.sim.light import RadialLight, Sample, SampleMedium, radial_light
+from bssrdf.rig.sim.light import Sample, SampleMedium, SeenLight, seen_light
 from bssrdf.rig.sim.picture import View, picture
 from bssrdf.rig.sim.sensor import Sensor, mosaic
 
@@ -53,10 +53,10 @@ class Scene:
             perspective=self.perspective,
         )
 
-    def light(self, sample: Sample) -> dict[str, RadialLight]:
+    def light(self, sample: Sample) -> dict[str, SeenLight]:
         """The light of each channel of a sample under the camera's angle."""
         return {
-            channel: radial_light(medium, self.view_angle_deg, photons=self.photons, seed=self.seed)
+            channel: seen_light(medium, self.view_angle_deg, photons=self.photons, seed=self.seed)
             for channel, medium in sample.media.items()
         }
 
