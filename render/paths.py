@@ -117,9 +117,13 @@ class Tracer:
         """Light of a surface or surrounding that the ray met, weighed against light sampling."""
         ds = mi.DirectionSample3f(self.scene, si, path.last)
         active = path.active & (path.depth > 0) if self.settings.hide_emitters else path.active
-        pdf = self.scene.pdf_emitter_direction(path.last, ds, active & ~path.last_delta)
+        pdf = self._light_pdf(path.last, ds, active & ~path.last_delta)
         share = dr.select(path.last_delta, 1, path.last_pdf / dr.maximum(path.last_pdf + pdf, 1e-30))
         return dr.select(active, path.throughput * share * ds.emitter.eval(si, active), 0)
+
+    def _light_pdf(self, ref: Any, ds: Any, active: Any) -> Any:
+        """Density with which light sampling would have found the light that a path met."""
+        return self.scene.pdf_emitter_direction(ref, ds, active)
 
     def _lobes(self, path: Path, si: Any, sampler: Any, active: Any) -> tuple[list[Lobe], Any]:
         """The lobes of all surfaces met, one of them active in a lane, and the throughput with their chance."""

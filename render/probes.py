@@ -95,12 +95,13 @@ def _over_axes(frame: Any, offset: Any, normal: Any, density: Callable[[Any], An
 def rd_between(source: Dipole, offset: Any, normal: Any) -> Any:
     """R_d for light that enters at `offset` from where it leaves, on a surface of any form.
 
-    The paper's rule: the sources stay on the normal at the entry, and no distance counts less than 1/σt′.
+    The paper's rule: the sources stay on the normal at the entry, and no distance counts less than on a plane at r = 0,
+    that of the real source 1/σt′.
     """
     r2, rise = dr.squared_norm(offset), dr.dot(offset, normal)
 
     def square(height: Any) -> Any:
-        return dr.maximum(r2 + height * height + 2 * height * rise, source.z_r * source.z_r)
+        return dr.maximum(r2 + 2 * height * rise, 0) + height * height
 
     return rd(source, square(-source.z_r), square(source.z_v))
 
