@@ -15,7 +15,7 @@ from bssrdf.transport.precision import scoped_x64
 
 LEAST_ALBEDO = 0.6
 """α′ below which diffusion does not hold."""
-WIDE = 6.0
+WIDE = 2.0
 """How many spreads a body must measure for a dipole on a plane to hold on it."""
 _HELD = 0.9
 

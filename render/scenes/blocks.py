@@ -54,8 +54,8 @@ def block(material: RenderMaterial, **look: Any) -> Scene:
     side = BLOCK_MM
     sides = (side, side, side)
     body = Body(box((-side / 2, -side / 2, 0.0), sides), material, box_size(sides), **look)
-    spot = (-side / 2 + 6.0, -side / 2, side - 9.0)
-    lights = {"laser": beam((100.0, -1000.0, 300.0), spot, 0.8, flux=100.0), SKY: sky(0.015)}
+    spot = (-side / 2 + 4.0, -side / 2, side - 8.0)
+    lights = {"laser": beam((100.0, -1000.0, 300.0), spot, 0.8, flux=100.0), SKY: sky(0.01)}
     camera = Camera((-75.0, -105.0, 75.0), (-2.0, -2.0, 18.0), fov_deg=26.0)
     return Scene("block", {"block": body}, lights, camera, {"table": table(0.25)}, narrow_light=True)
 

@@ -14,7 +14,7 @@ from bssrdf.render.scenes.place import SKY, panel, sky, table
 from bssrdf.render.scenes.record import Body, Bump, Camera, Scene, Vector
 from bssrdf.render.surface_nets import TriangleMesh
 
-BUST_MM = 80.0
+BUST_MM = 60.0
 FACE_MM = 320.0
 """Height of the figure: a small statue, and a head on shoulders in life size."""
 _PORES_PX = 256
@@ -27,8 +27,8 @@ def bust(material: RenderMaterial, *, mesh: TriangleMesh | None = None, **look: 
     mesh = mesh or _figure(BUST_MM)
     h, at = _stand(mesh)
     lights = {
-        "behind": panel(at(1.1, 1.6, 1.3), at(0, 0, 0.6), (0.6 * h, 0.6 * h), radiance=14.0),
-        SKY: sky(0.05),
+        "behind": panel(at(1.9, 1.0, 1.3), at(0, 0, 0.6), (0.4 * h, 0.4 * h), radiance=25.0),
+        SKY: sky(0.015),
     }
     camera = Camera(at(-0.55, -2.7, 0.75), at(0, 0, 0.5), fov_deg=26.0)
     return Scene("bust", {"bust": _body(mesh, material, **look)}, lights, camera, {"table": table(0.1)})
@@ -41,10 +41,10 @@ def face(material: RenderMaterial, *, mesh: TriangleMesh | None = None, **look: 
     rng = np.random.default_rng(_PORES_SEED)
     bump = Bump(_pores(rng), _PORES_REPEAT)
     lights = {
-        "key": panel(at(1.9, -1.2, 1.5), at(0, 0, 0.6), (0.18 * h, 0.18 * h), radiance=95.0),
-        SKY: sky(0.08),
+        "key": panel(at(2.2, -0.5, 1.6), at(0, 0, 0.6), (0.12 * h, 0.12 * h), radiance=200.0),
+        SKY: sky(0.03),
     }
-    camera = Camera(at(-0.25, -2.5, 0.72), at(0, -0.05, 0.62), fov_deg=15.0)
+    camera = Camera(at(-0.25, -2.5, 0.72), at(0, -0.05, 0.62), fov_deg=11.5)
     return Scene("face", {"face": _body(mesh, material, bump=bump, **look)}, lights, camera)
 
 

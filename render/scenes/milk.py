@@ -8,30 +8,28 @@ import numpy as np
 
 from bssrdf.render.lathe import turned
 from bssrdf.render.material import RenderMaterial, find_medium
-from bssrdf.render.scenes.place import SKY, box, box_size, moved, panel, sky, table
-from bssrdf.render.scenes.record import Body, Camera, Plugin, Scene
+from bssrdf.render.scenes.place import SKY, box, box_size, panel, sky, table
+from bssrdf.render.scenes.record import Body, Camera, Scene
 
 RADIUS_MM = 20.0
 """At the foot; the glass widens upwards."""
 FILL_MM = 58.0
-RIM_MM = 72.0
 _TABLE = (260.0, 260.0, 20.0)
 
 
 def milk(material: RenderMaterial, **look: Any) -> Scene:
-    """A glass of the material on a polished slab of marble.
+    """A glass of the material on a polished slab of marble, lit from the left.
 
-    The wall in front of the milk is left out: milk meets air, as its table of coefficients has it. What shows is the
-    empty rim above it.
+    The glass itself is left out: milk meets air, as its coefficients have it.
     """
     foot = _TABLE[2] + 0.05
     glass = turned(np.add(_profile(), (0.0, foot)))
     size = 3 * FILL_MM * RADIUS_MM / (2 * (FILL_MM + RADIUS_MM))
     marble = Body(box((-_TABLE[0] / 2, -_TABLE[1] / 2, 0.0), _TABLE), find_medium("Marble"), box_size(_TABLE))
-    lights = {"window": panel((-190.0, -60.0, 170.0), (0.0, 0.0, 40.0), (55.0, 70.0), radiance=9.0), SKY: sky(0.12)}
-    camera = Camera((25.0, -230.0, 120.0), (0.0, 0.0, 50.0), fov_deg=27.0)
+    lights = {"window": panel((-210.0, 10.0, 110.0), (0.0, 0.0, 45.0), (45.0, 60.0), radiance=12.0), SKY: sky(0.02)}
+    camera = Camera((25.0, -230.0, 120.0), (0.0, 0.0, 50.0), fov_deg=25.0)
     bodies = {"milk": Body(glass, material, size, **look), "marble": marble}
-    return Scene("milk", bodies, lights, camera, {"rim": _rim(foot), "floor": table(0.2)})
+    return Scene("milk", bodies, lights, camera, {"floor": table(0.1)})
 
 
 def _profile() -> np.ndarray:
@@ -49,13 +47,3 @@ def _profile() -> np.ndarray:
             np.stack([np.linspace(RADIUS_MM + 3.4, 0, 9)[1:], np.full(8, FILL_MM)], axis=1),
         ]
     )
-
-
-def _rim(foot: float) -> Plugin:
-    """The glass above the milk, thin."""
-    return {
-        "type": "cylinder",
-        "radius": 1.0,
-        "to_world": moved((0.0, 0.0, foot + FILL_MM), (RADIUS_MM + 4.2, RADIUS_MM + 4.2, RIM_MM - FILL_MM)),
-        "bsdf": {"type": "thindielectric", "int_ior": 1.5},
-    }

@@ -1,0 +1,115 @@
+"""The paper's Figs. 8 to 11, one command each: `python -m bssrdf.bench.render_figures 9 --out docs/images`."""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import dataclass
+from pathlib import Path
+
+from bssrdf.render.picture import Pixels, exposure, render, shown
+from bssrdf.render.plugins import TERMS, Options
+from bssrdf.render.scenes.catalogue import build_scene
+from bssrdf.session.atomic import atomic_write, make_folder
+
+SEED = 2001
+_DPI = 100
+
+
+@dataclass(frozen=True)
+class Panel:
+    """One picture of a figure."""
+
+    title: str
+    options: Options
+    material: str | None = None
+    samples: int = 128
+
+
+@dataclass(frozen=True)
+class Figure:
+    """Panels of one scene at one exposure, that of the one named, in rows of `columns`."""
+
+    scene: str
+    panels: tuple[Panel, ...]
+    exposed_by: str
+    columns: int
+    brighter: float = 1.0
+
+
+BRDF, BSSRDF = Panel("BRDF", Options("brdf")), Panel("BSSRDF", Options("bssrdf"))
+FIGURES = {
+    8: Figure("block", (BRDF, BSSRDF), "BSSRDF", 2, brighter=6.0),
+    9: Figure(
+        "bust",
+        (
+            BRDF,
+            BSSRDF,
+            Panel("full Monte Carlo", Options("mc"), samples=48),
+            *(Panel(f"{term} alone", Options("bssrdf", terms=(term,))) for term in TERMS),
+        ),
+        "BSSRDF",
+        3,
+        brighter=3.0,
+    ),
+    10: Figure(
+        "milk",
+        (
+            Panel("whole milk, BRDF", Options("brdf"), "Wholemilk"),
+            Panel("skim milk", Options("bssrdf"), "Skimmilk"),
+            Panel("whole milk", Options("bssrdf"), "Wholemilk"),
+        ),
+        "whole milk",
+        3,
+    ),
+    11: Figure("face", (BRDF, BSSRDF), "BSSRDF", 2),
+}
+
+
+def make_figure(number: int, *, width_px: int = 200, fewer: int = 1) -> dict[str, Pixels]:
+    """Every panel's radiance, by its title; `fewer` divides the samples."""
+    figure = FIGURES[number]
+    images = {}
+    for panel in figure.panels:
+        scene = build_scene(figure.scene, material=panel.material, width_px=width_px)
+        images[panel.title] = render(scene, panel.options, samples=max(2, panel.samples // fewer), seed=SEED).radiance
+    return images
+
+
+def draw(path: Path, number: int, images: dict[str, Pixels]) -> None:
+    """All panels as one PNG."""
+    import matplotlib.figure
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+    figure = FIGURES[number]
+    factor = figure.brighter * exposure(images[figure.exposed_by])
+    height, width = next(iter(images.values())).shape[:2]
+    rows = -(-len(images) // figure.columns)
+    size = (figure.columns * (width + 4) / _DPI, rows * (height + 22) / _DPI)
+    drawn = matplotlib.figure.Figure(figsize=size, layout="constrained", dpi=_DPI)
+    drawn.get_layout_engine().set(w_pad=0.01, h_pad=0.01)
+    FigureCanvasAgg(drawn)
+    for axes, (title, image) in zip(
+        drawn.subplots(rows, figure.columns, squeeze=False).flat, images.items(), strict=True
+    ):
+        axes.imshow(shown(image, factor))
+        axes.set_title(title, fontsize=8, pad=2)
+        axes.set_axis_off()
+    with atomic_write(path) as part:
+        drawn.savefig(part, format="png")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("number", type=int, choices=sorted(FIGURES))
+    parser.add_argument("--out", type=Path, default=Path("docs/images"))
+    parser.add_argument("--width", type=int, default=200, help="pixels of a panel")
+    parser.add_argument("--fewer", type=int, default=1, help="divides the samples")
+    arguments = parser.parse_args()
+    make_folder(arguments.out)
+    path = arguments.out / f"figure{arguments.number}.png"
+    draw(path, arguments.number, make_figure(arguments.number, width_px=arguments.width, fewer=arguments.fewer))
+    print(path)
+
+
+if __name__ == "__main__":
+    main()
