@@ -119,12 +119,15 @@ def capture(plan: Path, out: Path, rig: Path | None, simulate: bool, resume: boo
 @click.option("--layout", help='Colour filter pattern such as RGGB, "mono" or "rgb", where the file does not tell.')
 @click.option("--black", type=float, help="DN without light, where the file does not tell.")
 @click.option("--white", type=float, help="DN at saturation, where the file does not tell.")
+@click.option("--response", is_flag=True, help="Take JPEG and PNG as well, and have their response curve fitted.")
 @_force
-def ingest(folder: Path, out: Path, kinds: tuple[str, ...], select: str | None, force: bool, **camera: Any) -> None:
+def ingest(
+    folder: Path, out: Path, kinds: tuple[str, ...], select: str | None, response: bool, force: bool, **camera: Any
+) -> None:
     """Copy the RAW or TIFF files of FOLDER into a session; exposures from EXIF or from file names."""
     from bssrdf.session.ingest import ingest_folder
 
-    frames = ingest_folder(folder, _fresh(out, force), kinds=kinds, select=select, camera=camera)
+    frames = ingest_folder(folder, _fresh(out, force), kinds=kinds, select=select, camera=camera, response=response)
     counts = {kind: sum(frame.kind == kind for frame in frames) for kind in sorted({frame.kind for frame in frames})}
     click.echo(f"{out}: " + ", ".join(f"{n} {kind}" for kind, n in counts.items()))
     click.echo(

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 Flat = NDArray[np.float32]
 
-_fused = njit(cache=True, nogil=True, error_model="numpy")
+_fused: Any = njit(cache=True, nogil=True, error_model="numpy")
 
 
 @_fused

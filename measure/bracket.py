@@ -5,9 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from bssrdf.calib.response import Response
 from bssrdf.calib.sensor import master_dark
 from bssrdf.errors import InputError
 from bssrdf.measure.merge import Sample, Shot
@@ -24,6 +27,15 @@ class Bracket:
     folder: Path
     frames: tuple[Frame, ...]
     darks: tuple[tuple[Frame, ...], ...]
+    response: Response | None = None
+    """Of a camera whose files are not linear."""
+
+    def read(self, frame: Frame) -> NDArray[Any]:
+        """The pixels of a frame or dark, linear in light."""
+        path = self.folder / frame.file
+        if self.response is None:
+            return read_frame_file(path).data
+        return self.response.linearised(path, read_frame_file(path, encoded=True).data)
 
     def exposures_s(self) -> list[float]:
         """Measured exposure times, nominal where there is none."""
@@ -32,38 +44,38 @@ class Bracket:
     def shots(self, exposures_s: Sequence[float]) -> list[Shot]:
         """The frames to merge, each standing for the given time."""
         return [
-            Shot(frame.file, seconds, _Loader(self.folder, frame, darks))
+            Shot(frame.file, seconds, _Loader(self, frame, darks))
             for frame, darks, seconds in zip(self.frames, self.darks, exposures_s, strict=True)
         ]
 
 
 @dataclass(frozen=True)
 class _Loader:
-    folder: Path
+    bracket: Bracket
     frame: Frame
     darks: tuple[Frame, ...]
 
     def __call__(self) -> Sample:
-        path = self.folder / self.frame.file
-        raw = read_frame_file(path).data
-        darks = [read_frame_file(self.folder / dark.file).data for dark in self.darks]
+        raw = self.bracket.read(self.frame)
+        darks = [self.bracket.read(dark) for dark in self.darks]
         for dark, frame in zip(darks, self.darks, strict=True):
             if dark.shape != raw.shape:
-                raise InputError(f"{self.folder / frame.file}: has {_size(dark)}, not the {_size(raw)} of {path.name}")
+                path = self.bracket.folder / frame.file
+                raise InputError(f"{path}: has {_size(dark)}, not the {_size(raw)} of {self.frame.file}")
         return Sample(raw, master_dark(darks), len(darks))
 
 
-def bracket_of(kind: FrameKind, folder: Path, frames: Sequence[Frame]) -> Bracket:
+def bracket_of(kind: FrameKind, folder: Path, frames: Sequence[Frame], response: Response | None = None) -> Bracket:
     """The frames of `kind` in `frames`, none if there is none; InputError where one has no dark."""
     chosen = sorted((f for f in frames if f.kind == kind), key=lambda f: (f.exposure_s, f.file))
     darks = tuple(tuple(sorted(dark_for(f, frames), key=lambda d: d.file)) for f in chosen)
-    return Bracket(kind, folder, tuple(chosen), darks)
+    return Bracket(kind, folder, tuple(chosen), darks, response)
 
 
 def camera_of(bracket: Bracket, camera: Camera) -> Camera:
     """`[camera]` completed by what the first frame's own file says; InputError where the layout stays unknown."""
     path = bracket.folder / bracket.frames[0].file
-    raw = read_frame_file(path)
+    raw = read_frame_file(path, encoded=bracket.response is not None)
     layout = camera.layout or raw.layout
     if layout is None:
         raise InputError(f'{path}: does not tell its layout; set layout = "RGGB", "mono" or … in [camera]')
@@ -72,7 +84,7 @@ def camera_of(bracket: Bracket, camera: Camera) -> Camera:
     return Camera(
         layout,
         camera.black if camera.black is not None else _mean_black(raw),
-        camera.white if camera.white is not None else _white(raw),
+        bracket.response.saturation if bracket.response else camera.white if camera.white is not None else _white(raw),
         camera.gain_e_per_dn,
         camera.read_noise_e,
     )

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 from bssrdf.errors import InputError
 from bssrdf.measure.bracket import bracket_of, camera_of
+from bssrdf.measure.encoded import session_response
 from bssrdf.measure.learn import learn_camera
 from bssrdf.measure.merge import Progress
 from bssrdf.measure.pixels import mosaic_period
@@ -34,7 +35,8 @@ class CameraCalibration:
 def calibrate_camera(session: Session, *, progress: Progress | None = None) -> CameraCalibration:
     """Gain, read noise, saturation, linearity and exposure times from the brackets of a session and their darks."""
     frames = read_frames(session.path)
-    every = (bracket_of(kind, session.path, frames) for kind in _KINDS)
+    response = session_response(session, frames)
+    every = (bracket_of(kind, session.path, frames, response) for kind in _KINDS)
     brackets = [bracket for bracket in every if bracket.frames]
     if not brackets:
         raise InputError(f"{session.path / 'frames.csv'}: lists no frame of kind {', '.join(_KINDS)}; add some")

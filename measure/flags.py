@@ -12,6 +12,7 @@ MEANING = {
     "light_lost": "Much light fell outside the frame: its share was estimated and is uncertain.",
     "moved": "The picture moved between exposures.",
     "nonlinear": "The camera's response bends: longer exposures do not give proportional values.",
+    "not_linear": "The frames are not linear (JPEG, video): their response curve was fitted, good to percents at best.",
     "saturated": "Pixels are saturated even in the shortest exposure: they were left out.",
     "second_spot": "There is a second bright spot in the picture.",
     "slice_radial_disagree": "The slice and the average over all directions differ by more than their errors.",

@@ -16,7 +16,6 @@ from bssrdf.calib.sensor import Sensor
 from bssrdf.measure.bracket import Bracket
 from bssrdf.measure.levels import Level, levels_of
 from bssrdf.measure.merge import Progress
-from bssrdf.session.frame_files import read_frame_file
 from bssrdf.session.records import Camera
 
 _MARGIN = 0.01
@@ -94,7 +93,7 @@ def learn_camera(brackets: Sequence[Bracket], camera: Camera, period: int, progr
 def _first_guess(brackets: Sequence[Bracket], camera: Camera) -> Sensor:
     """The sensor as the camera table and the shortest darks have it; read noise by a gain that is a guess yet."""
     shortest = max((bracket.darks[0] for bracket in brackets), key=len)[:2]
-    darks = [read_frame_file(brackets[0].folder / dark.file).data for dark in shortest]
+    darks = [brackets[0].read(dark) for dark in shortest]
     black = camera.black if camera.black is not None else float(np.median(darks[0]))
     white = float(camera.white if camera.white is not None else np.inf)
     saturation = white - _MARGIN * (white - black) if np.isfinite(white) else white
@@ -164,7 +163,7 @@ def _mean_gain(gains: Sequence[Gain]) -> Gain | None:
 def _hot(brackets: Sequence[Bracket]) -> NDArray[np.bool_]:
     """Pixels whose dark signal in the longest exposure stands far out."""
     longest = max((bracket.darks[-1][0] for bracket in brackets), key=lambda dark: dark.exposure_s)
-    dark = read_frame_file(brackets[0].folder / longest.file).data.astype(np.float32)
+    dark = brackets[0].read(longest).astype(np.float32)
     excess = dark - np.median(dark)
     return excess > _HOT_SD * max(np.sqrt(clipped_variance(excess.astype(float).ravel())), 0.5)
 

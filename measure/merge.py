@@ -140,8 +140,8 @@ def _poisson_sum(samples: Iterator[tuple[Shot, Sample]], sensor: Sensor) -> tupl
         if signal is None or seconds is None or count is None:
             signal, seconds = np.zeros(raw.shape, np.float32), np.zeros(raw.shape, np.float32)
             count = np.zeros(raw.shape, np.uint8)
-        planes = (_flat(plane) for plane in (signal, seconds, count))
-        add_light(_flat(raw), _flat(dark), np.float32(sensor.saturation_dn), np.float32(shot.exposure_s), *planes)
+        saturation, t = np.float32(sensor.saturation_dn), np.float32(shot.exposure_s)
+        add_light(_flat(raw), _flat(dark), saturation, t, _flat(signal), _flat(seconds), _flat(count))
     if signal is None or seconds is None or count is None:
         raise InputError("no frame to merge; list some in frames.csv")
     return signal, seconds, count
@@ -151,13 +151,19 @@ def _flat(plane: NDArray[Any]) -> NDArray[Any]:
     return plane.reshape(-1)
 
 
+def _terms(shot: Shot, sample: Sample, sensor: Sensor) -> list[Any]:
+    """Saturation [DN], exposure time [s], variance of darkness [DN²] and gain."""
+    values = (sensor.saturation_dn, shot.exposure_s, _darkness_variance(sample, sensor), sensor.gain_e_per_dn)
+    return [np.float32(value) for value in values]
+
+
 def _reweighted_sum(samples: Iterator[tuple[Shot, Sample]], sensor: Sensor, expected: Plane) -> tuple[Plane, Plane]:
     """Inverse-variance mean of (x − d)/t and its variance, where the variance is that of `expected` [DN/s]."""
     weighted, weight = np.zeros_like(expected), np.zeros_like(expected)
-    planes = [_flat(plane) for plane in (expected, weighted, weight)]
+    planes: list[Any] = [_flat(plane) for plane in (expected, weighted, weight)]
     for shot, sample in samples:
-        terms = (sensor.saturation_dn, shot.exposure_s, _darkness_variance(sample, sensor), sensor.gain_e_per_dn)
-        add_weighted(_flat(sample.raw), _flat(sample.dark), *map(np.float32, terms), *planes)
+        terms = _terms(shot, sample, sensor)
+        add_weighted(_flat(sample.raw), _flat(sample.dark), *terms, *planes)
     with np.errstate(divide="ignore", invalid="ignore"):
         weighted /= weight
         np.divide(1, weight, out=weight)
@@ -170,8 +176,8 @@ def _poisson_variance(samples: Iterator[tuple[Shot, Sample]], sensor: Sensor, ra
     variance = np.zeros_like(radiance)
     expected = np.maximum(np.nan_to_num(radiance), 0)
     for shot, sample in samples:
-        terms = (sensor.saturation_dn, shot.exposure_s, _darkness_variance(sample, sensor), sensor.gain_e_per_dn)
-        add_variance(_flat(sample.raw), *map(np.float32, terms), _flat(expected), _flat(variance))
+        terms = _terms(shot, sample, sensor)
+        add_variance(_flat(sample.raw), *terms, _flat(expected), _flat(variance))
     with np.errstate(divide="ignore", invalid="ignore"):
         variance /= seconds**2
     return variance

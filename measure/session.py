@@ -13,6 +13,7 @@ from bssrdf.errors import InputError
 from bssrdf.measure.bracket import Bracket, bracket_of, camera_of
 from bssrdf.measure.curve import Options, Timing, measure_slice
 from bssrdf.measure.elsewhere import read_elsewhere
+from bssrdf.measure.encoded import session_response
 from bssrdf.measure.flat import flattened
 from bssrdf.measure.learn import Learnt, learn_camera
 from bssrdf.measure.merge import Hdr, Progress, merge
@@ -57,7 +58,9 @@ def measure_session(
         _check_complete(session, listed)
     hashes = {frame.file: sha256_of(session.path / frame.file) for frame in listed}
     frames, flags = _without_duplicates(listed, hashes)
-    every = (bracket_of(kind, session.path, frames) for kind in _KINDS)
+    response = session_response(session, frames)
+    flags += ["not_linear"] if response else []
+    every = (bracket_of(kind, session.path, frames, response) for kind in _KINDS)
     brackets: dict[str, Bracket] = {bracket.kind: bracket for bracket in every if bracket.frames}
     images, camera = read_elsewhere(session, frames)
     learnt = None
@@ -105,7 +108,8 @@ def _merge_all(
     progress: Progress | None,
 ) -> dict[str, Hdr]:
     """The brackets merged, and divided by the flat field where there is one."""
-    flat = bracket_of("flat", next(iter(brackets.values())).folder, frames)
+    first = next(iter(brackets.values()))
+    flat = bracket_of("flat", first.folder, frames, first.response)
     every = {**brackets, "flat": flat} if flat.frames else brackets
     merged = {
         kind: merge(
@@ -154,6 +158,7 @@ def _provenance(
     own: dict[str, Any] = {
         "version": bssrdf.__version__,
         "calibration": session.calibration or "",
+        "response": session.camera.response or "linear",
         "exposures_s": {kind: list(each.seconds) for kind, each in timing.items()},
         "sha256": dict(hashes),
     }

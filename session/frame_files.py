@@ -18,6 +18,8 @@ RAW_SUFFIXES = (
 _PLAIN_TIFF = (".dng", ".cr2", ".nef")
 """RAW whose tables can be trusted to say where the pixels end."""
 IMAGE_SUFFIXES = (".tif", ".tiff", ".exr", ".hdr")
+ENCODED_SUFFIXES = (".jpg", ".jpeg", ".png")
+"""Of 8-bit files whose values a camera has bent to please the eye."""
 
 
 @dataclass(frozen=True)
@@ -37,12 +39,20 @@ class RawFrame:
     camera: str | None = None
 
 
-def read_frame_file(path: Path) -> RawFrame:
-    """Read one frame; InputError where the file is missing, damaged or of a kind that cannot be measured from."""
+def read_frame_file(path: Path, *, encoded: bool = False) -> RawFrame:
+    """Read one frame; InputError where the file is missing, damaged or of a kind that cannot be measured from.
+
+    With `encoded` an 8-bit file may be one of those whose values are not linear; else they are refused.
+    """
     suffix = path.suffix.lower()
+    if suffix in ENCODED_SUFFIXES and not encoded:
+        raise InputError(
+            f"{path}: is not linear in light; take RAW or TIFF, or have the response curve fitted: "
+            '`bssrdf ingest --response`, or response = "debevec" in [camera]'
+        )
     if suffix in RAW_SUFFIXES:
         return _read_raw(path)
-    if suffix in IMAGE_SUFFIXES:
+    if suffix in (*IMAGE_SUFFIXES, *ENCODED_SUFFIXES):
         return _read_image(path)
     raise InputError(f"{path}: {suffix or 'no suffix'} is no kind of frame; use RAW, TIFF, EXR or .hdr")
 

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple, get_args
 from bssrdf.errors import InputError, UsageError
 from bssrdf.session.atomic import make_folder, replace_folder, sha256_of
 from bssrdf.session.file_names import exposure_from_name
-from bssrdf.session.frame_files import IMAGE_SUFFIXES, RAW_SUFFIXES, RawFrame, read_frame_file
+from bssrdf.session.frame_files import ENCODED_SUFFIXES, IMAGE_SUFFIXES, RAW_SUFFIXES, RawFrame, read_frame_file
 from bssrdf.session.frames_csv import write_frames
 from bssrdf.session.records import Frame, FrameKind
 from bssrdf.session.session_toml import camera_of_keys, write_started
@@ -38,19 +38,22 @@ def ingest_folder(
     kinds: Sequence[str] = (),
     select: str | None = None,
     camera: Mapping[str, Any] = MappingProxyType({}),
+    response: bool = False,
 ) -> list[Frame]:
     """Copy the frames below `folder` into a new session `out`; a session that was there is replaced.
 
     `kinds` are `GLOB=kind` rules on path or name, of which the last match wins; with `select`, light frames count only
-    where their path contains it; `camera` is keys of [camera]. Returns the frames listed. UsageError for a rule that is
+    where their path contains it; `camera` is keys of [camera]. With `response` JPEG and PNG files count as well, and
+    the session asks for their response curve. Returns the frames listed. UsageError for a rule that is
     malformed or matches nothing, InputError for a file whose kind or exposure is unclear or that cannot be read.
     """
     rules = [_rule(text) for text in kinds]
-    known_camera = camera_of_keys(out / "session.toml", camera)
-    chosen = _chosen(folder, out, rules, select)
+    known_camera = camera_of_keys(out / "session.toml", {**camera, **({"response": "debevec"} if response else {})})
+    suffixes = (*RAW_SUFFIXES, *IMAGE_SUFFIXES, *(ENCODED_SUFFIXES if response else ()))
+    chosen = _chosen(_image_files(folder, out, suffixes), folder, rules, select)
     make_folder(out.parent)
     with replace_folder(out) as building:
-        frames = [_copy(folder, relative, kind, building) for relative, kind in chosen.items()]
+        frames = [_copy(folder, relative, kind, building, encoded=response) for relative, kind in chosen.items()]
         write_frames(building, frames)
         write_started(building, known_camera)
     return frames
@@ -66,8 +69,9 @@ def _rule(text: str) -> Rule:
     raise UsageError(f"--kind {text!r}: there is no kind {kind!r}; kinds are {', '.join(KINDS)}")
 
 
-def _chosen(folder: Path, out: Path, rules: Sequence[Rule], select: str | None) -> dict[PurePosixPath, FrameKind]:
-    found = _image_files(folder, out)
+def _chosen(
+    found: Sequence[PurePosixPath], folder: Path, rules: Sequence[Rule], select: str | None
+) -> dict[PurePosixPath, FrameKind]:
     for rule in rules:
         if not any(rule.matches(relative) for relative in found):
             raise UsageError(f"--kind '{rule.glob}={rule.kind}' matches none of the {len(found)} images in {folder}")
@@ -88,16 +92,18 @@ def _chosen(folder: Path, out: Path, rules: Sequence[Rule], select: str | None) 
     return chosen
 
 
-def _image_files(folder: Path, out: Path) -> list[PurePosixPath]:
+def _image_files(folder: Path, out: Path, suffixes: Sequence[str]) -> list[PurePosixPath]:
     """The images below `folder`, those of a session that stands in it left out."""
     if not folder.is_dir():
         raise InputError(f"{folder}: is no folder; give the one that holds the frames")
     if folder.resolve().is_relative_to(out.resolve()):
         raise UsageError(f"--out {out} would replace {folder}, which is to be read; choose another")
-    images = (path for path in folder.rglob("*") if path.suffix.lower() in (*RAW_SUFFIXES, *IMAGE_SUFFIXES))
+    images = (path for path in folder.rglob("*") if path.suffix.lower() in suffixes)
     found = sorted(path for path in images if not path.resolve().is_relative_to(out.resolve()))
     if not found:
-        raise InputError(f"{folder}: holds no RAW, TIFF or EXR file; give the folder that holds the frames")
+        encoded = any(path.suffix.lower() in ENCODED_SUFFIXES for path in folder.rglob("*"))
+        remedy = "ask for JPEG or PNG by --response" if encoded else "give the folder that holds the frames"
+        raise InputError(f"{folder}: holds no RAW, TIFF or EXR file; {remedy}")
     return [PurePosixPath(path.relative_to(folder).as_posix()) for path in found]
 
 
@@ -114,9 +120,9 @@ def _kind(relative: PurePosixPath, rules: Sequence[Rule]) -> FrameKind | None:
     return "sample" if only_darks else None
 
 
-def _copy(folder: Path, relative: PurePosixPath, kind: FrameKind, building: Path) -> Frame:
+def _copy(folder: Path, relative: PurePosixPath, kind: FrameKind, building: Path, *, encoded: bool) -> Frame:
     source, target = folder / relative, building / "frames" / relative
-    image = read_frame_file(source)
+    image = read_frame_file(source, encoded=encoded)
     target.parent.mkdir(parents=True, exist_ok=True)
     shutil.copy2(source, target)
     return Frame(

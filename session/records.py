@@ -61,6 +61,8 @@ class Camera:
     """DN at saturation."""
     gain_e_per_dn: float | None = None
     read_noise_e: float | None = None
+    response: Literal["debevec"] | None = None
+    """How frames that are not linear (JPEG, video) are made so; None where they are, or are to be refused."""
 
 
 @dataclass(frozen=True)

@@ -1,5 +1,7 @@
 """What frames tell of their camera: exposure ratios, gain, noise, saturation, movement, colour and response."""
 
+from pathlib import Path
+
 import cv2
 import numpy as np
 import pytest
@@ -9,7 +11,7 @@ from bssrdf.calib.colour import calibrate_colour
 from bssrdf.calib.exposures import comparable, measured_ratio, solve_exposures
 from bssrdf.calib.photon_transfer import pair_gain, read_noise_dn
 from bssrdf.calib.registration import shift_between
-from bssrdf.calib.response import linearised, response_curve
+from bssrdf.calib.response import fit_response
 from bssrdf.calib.saturation import plateau_dn
 from bssrdf.calib.sensor import Sensor
 from bssrdf.calib.spot import find_spot
@@ -157,9 +159,13 @@ def test_the_response_of_a_gamma_camera_is_straightened():
     light = np.broadcast_to(np.linspace(0.005, 1, 300), (200, 300))
     exposures_s = [0.05, 0.1, 0.2, 0.4, 0.8]
     frames = [np.rint(255 * np.clip(2 * t * light, 0, 1) ** (1 / 2.2)).astype(np.uint8) for t in exposures_s]
-    curve = response_curve(frames, exposures_s)
-    middle = (frames[2] > 60) & (frames[2] < 220)
-    ratio = linearised(frames[2], curve)[middle] / light[middle]
-    assert np.std(ratio) / np.mean(ratio) < 0.05
+    response = fit_response(frames, exposures_s)
+    middle = (frames[2] > 20) & (frames[2] < 240)
+    ratio = response.linearised(Path("frame"), frames[2])[middle] / light[middle]
+    assert np.std(ratio) / np.mean(ratio) < 0.03
     with pytest.raises(InputError, match="at least three"):
-        response_curve(frames[:2], exposures_s[:2])
+        fit_response(frames[:2], exposures_s[:2])
+    with pytest.raises(InputError, match="0 pixels are well exposed"):
+        fit_response([np.zeros_like(frame) for frame in frames], exposures_s)
+    with pytest.raises(InputError, match=r"a\.jpg: is no 8-bit image of 1 channels"):
+        response.linearised(Path("a.jpg"), np.zeros((4, 4, 3), np.uint8))
