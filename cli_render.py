@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import warnings
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -68,7 +70,7 @@ def render(
     options = _with_model(subject, options, model, explain)
     if terms is not None or explain:
         _say_overlap(subject)
-    with steps(quiet=is_quiet()) as progress:
+    with _spoken(), steps(quiet=is_quiet()) as progress:
         picture = render_picture(subject, options, samples=samples, seed=seed, progress=progress)
     for path in write_pictures(stem, picture, _provenance(scene, subject, options, samples, seed)):
         click.echo(str(path))
@@ -98,7 +100,7 @@ def compare(scene: str, out: Path | None, samples: int, mc_samples: int | None, 
     if refusal:
         warn(f"{refusal}: bssrdf is the reference")
     models: tuple[Model, ...] = ("brdf", "bssrdf") if refusal else ("brdf", "bssrdf", "mc")
-    with steps(quiet=is_quiet()) as progress:
+    with _spoken(), steps(quiet=is_quiet()) as progress:
         pictures, scores = compare_models(
             subject, options, models, samples=samples, mc_samples=mc_samples or samples, seed=seed, progress=progress
         )
@@ -116,6 +118,15 @@ def doctor() -> None:
     with stages("looking", quiet=is_quiet()):
         findings = examine()
     click.echo(doctor_text(findings))
+
+
+@contextmanager
+def _spoken() -> Iterator[None]:
+    """Warnings of the integrator, such as of an open mesh, once and as a line each."""
+    with warnings.catch_warnings(record=True) as caught:
+        yield
+    for line in dict.fromkeys(str(each.message) for each in caught if each.category is UserWarning):
+        warn(line)
 
 
 def _refuse(paths: list[Path], force: bool) -> None:

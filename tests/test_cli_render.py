@@ -195,6 +195,16 @@ def test_a_mesh_without_normals_or_too_small_for_its_medium_is_remarked(
     assert "larger than the body" in said
 
 
+@needs_renderer
+def test_an_open_mesh_is_remarked_in_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "open.ply").write_text(TETRAHEDRON.format(n=3, size=40).replace("3 1 2 3\n", ""))
+    options = ("--model", "bssrdf", "--out", tmp_path / "open", *QUICK)
+    assert bssrdf("render", "bust", "--mesh", tmp_path / "open.ply", *options) == 0
+    said = [line for line in capsys.readouterr().err.splitlines() if "is open" in line]
+    assert len(said) == 1
+    assert said[0].startswith("bssrdf:")
+
+
 def test_doctor_lists_libraries_and_what_renders(capsys: pytest.CaptureFixture[str]) -> None:
     assert bssrdf("doctor", "--quiet") == 0
     said = capsys.readouterr().out
