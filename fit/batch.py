@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any, Literal, NamedTuple
 
 import jax
@@ -14,9 +16,13 @@ from bssrdf.fit.intervals import Profile, profile_batch
 from bssrdf.fit.kernel import Common, Constraint, Judged, Task, fit_batch
 from bssrdf.fit.result import Job, factor_of, needs_profile
 from bssrdf.transport.forward import ForwardModel
+from bssrdf.transport.precision import scoped_x64
 
-BATCHES = (4, 64, 1024)
-"""Sizes a batch is padded to, so that a kernel is compiled for a few shapes only."""
+CHUNKS = (4, 64)
+"""Rows that a kernel gets at once, padded, so that it is compiled for two shapes only. More would not fit the caches,
+and all rows of a chunk wait for its slowest."""
+BATCH = 1024
+"""Rows that are judged together."""
 
 
 class Group(NamedTuple):
@@ -43,7 +49,7 @@ class Fitted(NamedTuple):
 def fit_group(
     group: Group, jobs: Sequence[Job], window_mm: tuple[float, float] | None, announce: Callable[[float], None] | None
 ) -> Fitted:
-    """Fit at most BATCHES[-1] jobs of one group."""
+    """Fit at most BATCH jobs of one group."""
     model = model_of(group.model, group.eta, group.g, announce)
     data = stack([(job.piece, job.channel) for job in jobs], window_mm=window_mm)
     judged: Judged = run_padded(lambda batch: fit_batch(group.task, model, *batch), (data, _common_errors(jobs)))
@@ -53,11 +59,21 @@ def fit_group(
 
 
 def run_padded(kernel: Callable[[Any], Any], batch: Any) -> Any:
-    """The kernel's result for the rows of `batch`, which is padded with its last row up to one of BATCHES."""
+    """The kernel's result for the rows of `batch`, by chunks on all processors; the last is padded with its last row."""
     rows = len(jax.tree.leaves(batch)[0])
-    extra = next(size for size in BATCHES if size >= rows) - rows
-    padded = jax.tree.map(lambda x: np.concatenate([x, np.repeat(x[-1:], extra, axis=0)]), batch)
-    return jax.tree.map(lambda x: np.asarray(x)[:rows], kernel(padded))
+    size = next((size for size in CHUNKS if size >= rows), CHUNKS[-1])
+
+    @scoped_x64
+    def run(first: int) -> Any:
+        part = jax.tree.map(lambda x: np.asarray(x)[first : first + size], batch)
+        extra = size - len(jax.tree.leaves(part)[0])
+        if extra:
+            part = jax.tree.map(lambda x: np.concatenate([x, np.repeat(x[-1:], extra, axis=0)]), part)
+        return jax.tree.map(np.asarray, kernel(part))
+
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        parts = list(pool.map(run, range(0, rows, size)))
+    return jax.tree.map(lambda *chunks: np.concatenate(chunks)[:rows], *parts)
 
 
 def pick(tree: Any, at: Any) -> Any:

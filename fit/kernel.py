@@ -7,7 +7,7 @@ from typing import Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from bssrdf.fit import gauss_newton
 from bssrdf.fit.curves import Curves
@@ -21,7 +21,7 @@ from bssrdf.fit.predict import (
     total,
     total_slope,
 )
-from bssrdf.fit.scan import start
+from bssrdf.fit.scan import spread, start
 from bssrdf.fit.spot import blur
 from bssrdf.fit.window import counts
 from bssrdf.transport.forward import DipoleModel, ForwardModel
@@ -31,6 +31,8 @@ Vector = Float[Array, " p"]
 PASSES = 3
 """The window is given in mean free paths, which the fit finds: so it is laid, fitted and laid again."""
 ROBUST_PASSES = 12
+GLANCE = 3
+"""Steps in a pass whose window and weights are not the last."""
 HUBER = 1.345
 """Standard deviations from which on a residual counts linearly: 95 % efficient on normal noise (Huber 1981)."""
 
@@ -104,27 +106,49 @@ def fit_batch(task: Task, model: ForwardModel, data: Curves, common: Common) -> 
 
 
 def solve(task: Task, model: ForwardModel, data: Curves) -> Solution:
-    """Least squares under the task's constraint; `data` holds one curve (no batch axis)."""
-    known = jnp.where(jnp.isnan(data.weight), 1.0, data.weight)
-    q_of_r = None if task.constraint == "none" else q_of_total(model, data.total_r)
-    everywhere = (known != 0) & (data.r_lo >= data.window[0]) & (data.r_hi <= data.window[1])
-    point = start(model, data.r_lo, data.r_hi, data.rd, everywhere.astype(data.rd.dtype), q_of_r, task.scale_free)
+    """Least squares under the task's constraint; `data` holds one curve (no batch axis).
 
-    def refit(_: int, last: Solution) -> Solution:
-        return optimise(task, model, data, _reweighted(task, model, data, known, last))
+    A few radii are fitted first: whatever steps a poor start costs are cheap there.
+    """
+    known = jnp.where(jnp.isnan(data.weight), 1.0, data.weight)
+    few = spread((known != 0) & (data.r_lo >= data.window[0]) & (data.r_hi <= data.window[1]))
+    sparse = data._replace(r_lo=data.r_lo[few], r_hi=data.r_hi[few], rd=data.rd[few])
+    q_of_r = None if task.constraint == "none" else q_of_total(model, data.total_r)
+    point = start(model, (sparse.r_lo + sparse.r_hi) / 2, sparse.rd, q_of_r, task.scale_free)
+    plain = task._replace(blurred=False, camera=False, robust=False)
+    begun = _relaid(plain, model, sparse, known[few], point)
+    finite = jnp.isfinite(sum(begun.point))
+    point = jax.tree.map(lambda found, scanned: jnp.where(finite, found, scanned), begun.point, point)
+    return _relaid(task, model, data, known, point)
+
+
+def _relaid(task: Task, model: ForwardModel, data: Curves, known: Float[Array, " n"], point: Parameters) -> Solution:
+    """The optimum from `point` on, with window and weights laid anew for it each pass."""
+
+    last = (ROBUST_PASSES if task.robust else PASSES) - 1
+
+    def refit(number: Int[Array, ""], found: Solution) -> Solution:
+        steps = jnp.where(number < last, GLANCE, gauss_newton.MAX_STEPS)
+        return optimise(task, model, data, _reweighted(task, model, data, known, found), steps)
 
     first = Solution(point, known, known, jnp.ones_like(known), jnp.ones_like(data.total_r), jnp.asarray(True))
-    return jax.lax.fori_loop(0, ROBUST_PASSES if task.robust else PASSES, refit, first)
+    return jax.lax.fori_loop(0, last + 1, refit, first)
 
 
-def optimise(task: Task, model: ForwardModel, data: Curves, begin: Solution) -> Solution:
+def optimise(
+    task: Task,
+    model: ForwardModel,
+    data: Curves,
+    begin: Solution,
+    most_steps: Int[Array, ""] | int = gauss_newton.MAX_STEPS,
+) -> Solution:
     """The best point near that of `begin`, with its weights; q stays where the constraint is `exact`."""
 
     def linearise(free: Vector) -> tuple[Float[Array, " m"], Float[Array, "p m"]]:
         there = begin._replace(point=_unpack(task, free, begin.point.q))
         return residual(task, model, data, there)[:2]
 
-    free, converged = gauss_newton.minimise(linearise, _pack(task, begin.point))
+    free, converged = gauss_newton.minimise(linearise, _pack(task, begin.point), most_steps)
     return begin._replace(point=_unpack(task, free, begin.point.q), converged=converged)
 
 
@@ -204,11 +228,11 @@ def judge(task: Task, model: ForwardModel, data: Curves, common: Common, solutio
     dof = solution.counts.sum() + (task.constraint == "soft") - p
     chi2 = misfit.value @ misfit.value / jnp.maximum(dof, 1)
 
-    inverse = _inverse(misfit.by_free @ misfit.by_free.T)
+    inverse = _inverse(gauss_newton.gram(misfit.by_free, misfit.by_free))
     scatter = misfit.by_free * _share_of_noise(task, data, solution, chi2)[None, :]
-    covariance = _shape_of_free(task, inverse @ scatter @ misfit.by_free.T @ inverse)
+    covariance = _shape_of_free(task, inverse @ gauss_newton.gram(scatter, misfit.by_free) @ inverse)
     for response, q_shift, sd in _common_responses(task, model, data, point, misfit, common):
-        free_shift = -inverse @ (misfit.by_free @ response)
+        free_shift = -inverse @ (misfit.by_free * response[None, :]).sum(axis=1)
         shift = jnp.stack([free_shift[0], q_shift if task.constraint == "exact" else free_shift[1]]) * sd
         covariance = covariance + shift[:, None] * shift[None, :]
 

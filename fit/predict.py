@@ -51,15 +51,22 @@ def curve(
 def curve_with_slopes(
     model: ForwardModel, point: Parameters, r_lo: Float[Array, " n"], r_hi: Float[Array, " n"], binned: bool
 ) -> tuple[Float[Array, " n"], Float[Array, " n"], Float[Array, " n"]]:
-    """R_d and its derivatives by ln σt′ and by q."""
+    """R_d and its derivatives by ln σt′ and by q.
 
-    def shaped(log_sigma_tp: Scalar, q: Scalar) -> Float[Array, " n"]:
-        return curve(model, Parameters(log_sigma_tp, q, point.log_scale), r_lo, r_hi, binned)
+    R_d = σt′² f(q, σt′ r), so the derivative by ln σt′ is 2 R_d plus that by ln r, which leaves the medium alone.
+    """
 
-    at = (point.log_sigma_tp, point.q)
-    one, zero = jnp.ones_like(at[0]), jnp.zeros_like(at[0])
-    value, by_log_sigma = jax.jvp(shaped, at, (one, zero))
-    return value, by_log_sigma, jax.jvp(shaped, at, (zero, one))[1]
+    def stretched(log_factor: Scalar) -> Float[Array, " n"]:
+        factor = jnp.exp(log_factor)
+        return curve(model, point, r_lo * factor, r_hi * factor, binned)
+
+    def absorbing(q: Scalar) -> Float[Array, " n"]:
+        return curve(model, point._replace(q=q), r_lo, r_hi, binned)
+
+    zero, one = jnp.zeros_like(point.q), jnp.ones_like(point.q)
+    value, by_log_r = jax.jvp(stretched, (zero,), (one,))
+    by_q = jax.jvp(absorbing, (point.q,), (one,))[1]
+    return value, 2 * value + by_log_r, by_q
 
 
 def total(model: ForwardModel, q: Scalar) -> Scalar:

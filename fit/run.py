@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 
 from bssrdf.errors import InputError
-from bssrdf.fit.batch import BATCHES, Fitted, Group, fit_group, pick
+from bssrdf.fit.batch import BATCH, Fitted, Group, fit_group, pick
 from bssrdf.fit.choose import Announce, ModelName, tabulated
 from bssrdf.fit.curves import bucket_of
 from bssrdf.fit.kernel import Constraint, Task
@@ -104,8 +104,8 @@ def _batches(
         width = bucket_of(len(job.piece.channels[job.channel].r_mm))
         groups[Group(_task(job, options), model, job.piece.eta, job.piece.g, width)].append(job)
     for group, members in groups.items():
-        for first in range(0, len(members), BATCHES[-1]):
-            yield fit_group(group, members[first : first + BATCHES[-1]], options.window_mm, announce)
+        for first in range(0, len(members), BATCH):
+            yield fit_group(group, members[first : first + BATCH], options.window_mm, announce)
 
 
 def _results(fitted: Fitted) -> list[ChannelFit]:

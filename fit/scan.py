@@ -5,7 +5,7 @@ from __future__ import annotations
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from bssrdf.fit.predict import Parameters, Scalar, curve
 from bssrdf.transport.forward import ForwardModel
@@ -13,43 +13,43 @@ from bssrdf.transport.forward import ForwardModel
 LOG_EXTENT = np.linspace(np.log(0.3), np.log(1000.0), 24)
 """ln of (largest radius in mean free paths), tried for each curve."""
 Q_GRID = np.geomspace(0.02, 1.5, 7)
-SAMPLES = 16
+SAMPLES = 24
+"""Radii that a start rests on."""
 
 
 def start(
     model: ForwardModel,
-    r_lo: Float[Array, " n"],
-    r_hi: Float[Array, " n"],
+    r: Float[Array, " n"],
     rd: Float[Array, " n"],
-    counts: Float[Array, " n"],
     q: Scalar | None,
     scale_free: bool,
 ) -> Parameters:
-    """The grid point nearest to the curve; `counts` is 1 for a radius that counts, `q` is given where R is."""
-    pick = _spread(counts)
-    r = (r_lo[pick] + r_hi[pick]) / 2
-    positive = counts[pick] * (rd[pick] > 0)
-    log_rd = jnp.log(jnp.where(rd[pick] > 0, rd[pick], 1.0))
-    weight = positive / jnp.maximum(positive.sum(), 1)
-    extent = jnp.max(jnp.where(counts > 0, r_hi, 0))
-    log_sigma = jnp.asarray(LOG_EXTENT, r.dtype) - jnp.log(extent)
+    """The grid point nearest to the curve; `q` is given where R is."""
+    positive = rd > 0
+    log_rd = jnp.log(jnp.where(positive, rd, 1.0))
+    weight = positive / jnp.maximum(positive.sum(), 1).astype(r.dtype)
+    log_sigma = jnp.asarray(LOG_EXTENT, r.dtype) - jnp.log(jnp.max(r))
     q_grid = jnp.asarray(Q_GRID, r.dtype) if q is None else q[None]
-    s, qs = (grid.ravel() for grid in jnp.meshgrid(log_sigma, q_grid))
 
-    def misfit(log_sigma_tp: Scalar, q: Scalar) -> tuple[Scalar, Scalar]:
-        point = Parameters(log_sigma_tp, q, jnp.zeros_like(q))
-        model_rd = jnp.maximum(curve(model, point, r, r, False), 1e-300 if r.dtype == jnp.float64 else 1e-37)
-        difference = log_rd - jnp.log(model_rd)
-        offset = jnp.sum(weight * difference)
-        return jnp.sum(weight * jnp.abs(difference - (offset if scale_free else 0))), offset
+    def misfits(q: Scalar) -> tuple[Float[Array, " s"], Float[Array, " s"]]:
+        """Of this q with every scale: R_d = σt′² f(q, σt′ r), so one medium is asked for all radii at once."""
+        x = (jnp.exp(log_sigma)[:, None] * r[None, :]).ravel()
+        unit = Parameters(jnp.zeros_like(q), q, jnp.zeros_like(q))
+        shape = jnp.maximum(curve(model, unit, x, x, False), 1e-300 if r.dtype == jnp.float64 else 1e-37)
+        difference = log_rd[None, :] - jnp.log(shape).reshape(-1, r.size) - 2 * log_sigma[:, None]
+        offset = jnp.sum(weight[None, :] * difference, axis=1)
+        misfit = jnp.abs(difference - (offset[:, None] if scale_free else 0))
+        return jnp.sum(weight[None, :] * misfit, axis=1), offset
 
-    cost, offset = jax.vmap(misfit)(s, qs)
+    cost, offset = jax.vmap(misfits)(q_grid)
     best = jnp.argmin(jnp.where(jnp.isfinite(cost), cost, jnp.inf))
-    return Parameters(s[best], qs[best], offset[best] if scale_free else jnp.zeros_like(offset[best]))
+    at_q, at_sigma = jnp.unravel_index(best, cost.shape)
+    log_scale = offset[at_q, at_sigma]
+    return Parameters(log_sigma[at_sigma], q_grid[at_q], log_scale if scale_free else jnp.zeros_like(log_scale))
 
 
-def _spread(counts: Float[Array, " n"]) -> Float[Array, " SAMPLES"]:
+def spread(counts: Bool[Array, " n"]) -> Int[Array, " SAMPLES"]:
     """Indices of `SAMPLES` radii spread evenly over those that count."""
     rank = jnp.cumsum(counts)
-    wanted = jnp.linspace(1, jnp.maximum(rank[-1], 1), SAMPLES, dtype=rank.dtype)
-    return jnp.clip(jnp.searchsorted(rank, jnp.floor(wanted)), 0, counts.shape[0] - 1)
+    wanted = jnp.linspace(1, jnp.maximum(rank[-1], 1), SAMPLES).astype(rank.dtype)
+    return jnp.clip(jnp.searchsorted(rank, wanted), 0, counts.shape[0] - 1)
