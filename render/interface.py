@@ -15,7 +15,8 @@ TABLE_SIZE = 128
 
 def transmittance_table(eta: float, alpha: float) -> NDArray[np.float64]:
     """Share of the light from an outside direction that a GGX surface of roughness `alpha` lets in."""
-    mu = mi.Float(np.linspace(1e-4, 1, TABLE_SIZE).astype(np.float32))
+    within = 1 / TABLE_SIZE  # Mitsuba's quadrature fails at both ends
+    mu = mi.Float(np.clip(np.linspace(0, 1, TABLE_SIZE), within, 1 - within**2).astype(np.float32))
     if alpha == 0:
         return 1 - np.array(mi.fresnel(mu, eta)[0], np.float64)
     toward = mi.Vector3f(dr.sqrt(dr.maximum(1 - mu * mu, 0)), 0, mu)

@@ -228,18 +228,18 @@ def register_medium(variant: str) -> None:
 def read_surface(properties: Any) -> Surface:
     """The plugin's properties, checked. Raises InputError, one line, for what is missing or out of range."""
     numbers = {name: float(properties.get(name, default)) for name, default in NUMBERS.items()}
-    _require(properties.has_property("eta"), "eta is missing", "give the index inside over outside, as 1.3")
+    _require("eta" in properties, "eta is missing", "give the index inside over outside, as 1.3")
     eta = float(properties["eta"])
     _require(1 <= eta < 10, f"eta = {eta:g}", "give an index of at least 1, inside over outside")
     _require(-1 < numbers["g"] < 1, f"g = {numbers['g']:g}", "give a mean cosine between -1 and 1")
     _require(0 <= numbers["alpha"] <= 1, f"alpha = {numbers['alpha']:g}", "give a roughness of 0 to 1")
     _require(0 < numbers["scale"] < math.inf, f"scale = {numbers['scale']:g}", "give a factor above 0")
-    given = [pair for pair in PAIRS if any(properties.has_property(name) for name in pair)]
+    given = [pair for pair in PAIRS if any(name in properties for name in pair)]
     _require(
         len(given) == 1, "its coefficients are unclear", "give sigma_a and sigma_sp, or reflectance and mean_free_path"
     )
     for name in given[0]:
-        _require(properties.has_property(name), f"{name} is missing", f"give {given[0][0]} and {given[0][1]}")
+        _require(name in properties, f"{name} is missing", f"give {given[0][0]} and {given[0][1]}")
     pair = {name: _colour_or_texture(properties, name) for name in given[0]}
     for name, value in pair.items():
         if isinstance(value, np.ndarray):
@@ -254,7 +254,7 @@ def read_surface(properties: Any) -> Surface:
         numbers["alpha"],
         numbers["scale"],
         pair,
-        properties.get_unbounded_texture("bump") if properties.has_property("bump") else None,
+        properties.get_unbounded_texture("bump") if "bump" in properties else None,
         numbers["bump_scale"],
     )
     if not surface.textured:

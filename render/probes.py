@@ -19,8 +19,8 @@ AXIS_SHARES = (0.8, 0.1, 0.1)
 """Of the probes along the normal and along the two tangents."""
 SMALLEST = 1e-4
 """Reach, over the size of a coordinate, below which single precision cannot tell two points of a surface apart."""
-_STEP = 2e-6
-"""How far beyond a hit the probe goes on, over the size of a coordinate."""
+_STEP = 4e-6
+"""How far beyond a hit the probe goes on, over the sizes of a coordinate and of the probe: a few roundings."""
 
 
 @dataclass
@@ -117,7 +117,7 @@ def find_entry(scene: Any, sampler: Any, body: Body, law: Law, max_hits: int, ac
     """Probe the body once and keep one of the hits, chosen by its share of what they are worth together."""
     si = body.si
     ray, picked = _probe(sampler, body, law, active)
-    step = _STEP * size_of(si.p)
+    step = _STEP * (size_of(si.p) + ray.maxt)
     own = si.bsdf()
     running = active & (ray.maxt > 0)
     hits = mi.UInt32(0)
