@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import argparse
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from bssrdf.render.picture import Pixels, exposure, render, shown
@@ -43,9 +43,9 @@ FIGURES = {
         "bust",
         (
             BRDF,
-            BSSRDF,
-            Panel("full Monte Carlo", Options("mc"), samples=48),
-            *(Panel(f"{term} alone", Options("bssrdf", terms=(term,))) for term in TERMS),
+            replace(BSSRDF, samples=512),
+            Panel("full Monte Carlo", Options("mc"), samples=192),
+            *(Panel(f"{term} alone", Options("bssrdf", terms=(term,)), samples=512) for term in TERMS),
         ),
         "BSSRDF",
         3,
@@ -55,11 +55,12 @@ FIGURES = {
         "milk",
         (
             Panel("whole milk, BRDF", Options("brdf"), "Wholemilk"),
-            Panel("skim milk", Options("bssrdf"), "Skimmilk"),
-            Panel("whole milk", Options("bssrdf"), "Wholemilk"),
+            Panel("skim milk", Options("bssrdf"), "Skimmilk", samples=256),
+            Panel("whole milk", Options("bssrdf"), "Wholemilk", samples=256),
         ),
         "whole milk",
         3,
+        brighter=1.5,
     ),
     11: Figure("face", (BRDF, BSSRDF), "BSSRDF", 2),
 }
