@@ -156,6 +156,11 @@ def verify(session: Path) -> None:
 @click.option("--radial", is_flag=True, help="Average over the whole image instead of a band along the slice.")
 @click.option("--band-mm", type=float, help="Width of the band along the slice.")
 @click.option("--glare", is_flag=True, help="Take an even floor for veiling glare, and subtract it.")
+@click.option(
+    "--hdr-rel-sd",
+    type=click.FloatRange(min=0, min_open=True),
+    help="Relative error of a pixel in images merged elsewhere, instead of their scatter.",
+)
 def measure(session: Path, **options: Any) -> None:
     """Merge the brackets of SESSION; write HDR images, the slice and the total reflectance into measured/."""
     from bssrdf.measure.session import measure_session

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import cv2
@@ -70,6 +70,8 @@ def fit_geometry(points: Sequence[tuple[Array, Array]], size: tuple[int, int]) -
     px, mm = points[0]
     seen = np.stack(Surface(geometry, distortion).to_mm(px[:, 0], px[:, 1]), axis=1)
     residual_mm = float(np.sqrt(np.mean(np.sum((seen - mm) ** 2, axis=1))))
+    spread_mm = float(np.sqrt(np.mean(np.sum((mm - mm.mean(axis=0)) ** 2, axis=1))))
+    geometry = replace(geometry, mm_per_px_rel_sd=residual_mm / spread_mm / float(np.sqrt(len(mm))))
     residual_px = float(np.sqrt(np.mean(np.sum(residual(solved.x)[: 2 * len(px)].reshape(-1, 2) ** 2, axis=1))))
     return GeometryCalibration(geometry, distortion, residual_mm, residual_px, len(px))
 

@@ -8,10 +8,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from bssrdf.calib.exposures import Exposures
-from bssrdf.session.records import Array
+from bssrdf.session.records import Array, Session
 
-LENS_SOLID_ANGLE_SR = 3.4e-4
-"""A 50 mm lens at f/8, 300 mm from the tile."""
 _NM_OF_CHANNEL = {"R": 630.0, "G": 532.0, "B": 465.0}
 
 
@@ -34,9 +32,11 @@ def exposures_rel_sd(sample: dict[float, float], reference: dict[float, float], 
     return float(np.sqrt(difference @ exposures.covariance @ difference))
 
 
-def speckle_rel_sd(spot_radius_mm: float, channel: str, view_angle_deg: float) -> float:
+def speckle_rel_sd(spot_radius_mm: float, channel: str, session: Session) -> float:
     """Speckle of a laser spot on the tile: one over the root of the étendue in units of λ²."""
+    assert session.geometry
     named = re.fullmatch(r"(\d+(?:\.\d+)?) ?nm", channel)
     wavelength_mm = 1e-6 * (float(named[1]) if named else _NM_OF_CHANNEL.get(channel, 550.0))
-    area_mm2 = np.pi * spot_radius_mm**2 * np.cos(np.radians(view_angle_deg))
-    return float(wavelength_mm / np.sqrt(area_mm2 * LENS_SOLID_ANGLE_SR))
+    area_mm2 = np.pi * spot_radius_mm**2 * np.cos(np.radians(session.geometry.view_angle_deg))
+    solid_angle = np.pi / 4 * (session.camera.aperture_mm / session.geometry.distance_mm) ** 2
+    return float(wavelength_mm / np.sqrt(area_mm2 * solid_angle))

@@ -18,6 +18,7 @@ from bssrdf.measure.reflectance import (
     Total,
     beam_on_tile,
     channel_slice,
+    glare_is_evident,
     has_second_spot,
     locate,
     slice_profiles,
@@ -91,7 +92,7 @@ def measure_slice(
         lost[channel] = back.lost_fraction
         common = _common_errors(back, incident, timing, exposures)
         if session.beam.kind == "laser":
-            common.append(speckle_rel_sd(radius.value, channel, geometry.view_angle_deg))
+            common.append(speckle_rel_sd(radius.value, channel, session))
         scale_rel_sd.append(float(np.linalg.norm(common)))
         if not sample.is_saturated(channel):
             totals[channel] = back.light * per_light
@@ -100,6 +101,7 @@ def measure_slice(
         raised = {
             "light_lost": max(back.lost_fraction, incident.lost_fraction) > _MUCH_LOST,
             "slice_radial_disagree": differ and not options.radial,
+            "glare": not options.glare and glare_is_evident(sample, spots[0], around, back, per_light),
         }
         flags += [flag for flag, is_raised in raised.items() if is_raised]
     if not channels:

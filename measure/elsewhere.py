@@ -17,8 +17,13 @@ from bssrdf.session.records import Camera, Frame, Session
 _NEIGHBOURHOOD = 9
 
 
-def read_elsewhere(session: Session, frames: Sequence[Frame]) -> tuple[dict[str, Hdr], Camera]:
-    """The images of kind sample_hdr and reference_hdr as sample and reference, and the camera with their layout."""
+def read_elsewhere(
+    session: Session, frames: Sequence[Frame], rel_sd: float | None = None
+) -> tuple[dict[str, Hdr], Camera]:
+    """The images of kind sample_hdr and reference_hdr as sample and reference, and the camera with their layout.
+
+    `rel_sd` is the relative error of a pixel, where it is known; else the scatter tells it.
+    """
     images: dict[str, Hdr] = {}
     camera = session.camera
     for frame in frames:
@@ -30,16 +35,17 @@ def read_elsewhere(session: Session, frames: Sequence[Frame]) -> tuple[dict[str,
         radiance = read_linear_image(session.path / frame.file)
         layout = "rgb" if radiance.ndim == 3 else camera.layout or "mono"
         camera = replace(camera, layout=layout)
-        images[kind] = _with_scatter(radiance, mosaic_period(layout))
+        images[kind] = _with_variance(radiance, mosaic_period(layout), rel_sd)
     return images, camera
 
 
-def _with_scatter(radiance: Plane, period: int) -> Hdr:
-    """The image with the variance that its own scatter shows; pixels that are no number have no data."""
+def _with_variance(radiance: Plane, period: int, rel_sd: float | None) -> Hdr:
+    """The image with its variance, given or by its own scatter; pixels that are no number have no data."""
     usable = np.isfinite(radiance)
+    numbers = np.nan_to_num(radiance, posinf=0.0, neginf=0.0)
     return Hdr(
         np.where(usable, radiance, np.float32(np.nan)),
-        scatter_variance(np.nan_to_num(radiance, posinf=0.0, neginf=0.0), period),
+        scatter_variance(numbers, period) if rel_sd is None else np.square(np.float32(rel_sd) * numbers),
         usable.astype(np.uint8),
         np.where(usable, np.uint8(0), np.uint8(NO_DATA)),
     )

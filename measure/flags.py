@@ -9,6 +9,7 @@ MEANING = {
     "exposure_labels_off": "Exposure times found from the bracket differ from their labels: those found were used.",
     "exposure_ratios_disagree": "The exposure ratios found from the bracket contradict each other.",
     "gain_unknown": "The camera's gain could not be found from the frames: errors of single pixels are rough.",
+    "glare": "An even floor lies under the sample's light, as veiling glare makes it: --glare subtracts it.",
     "light_lost": "Much light fell outside the frame: its share was estimated and is uncertain.",
     "moved": "The picture moved between exposures.",
     "nonlinear": "The camera's response bends: longer exposures do not give proportional values.",

@@ -27,6 +27,8 @@ from bssrdf.session.records import Array, ChannelSlice
 _BAND_PX = 10
 _OUTLINE_STEPS = 200
 _GLARE_PASSES = 2
+_GLARE_SD = 3.0
+_GLARE_SHARE = 0.001
 _BEYOND_REL_SD = 0.02
 """How far the form of the tail is right where no pixel tells it, as a share of the light there."""
 _SPOT_SD_PX = 3.0
@@ -191,6 +193,24 @@ def total_light(
     light = inside + outside.value
     sd = float(np.sqrt(variance + outside.sd**2 + (_BEYOND_REL_SD * beyond) ** 2))
     return Total(light, sd, beyond / light, fit.estimate(lambda tail: tail.floor), curve, by_count)
+
+
+def glare_is_evident(image: Image, spot: Spot, surroundings: Surroundings, total: Total, per_light: float) -> bool:
+    """Whether an even floor lies under the tail of a curve, clear of its error and of a share of the light."""
+    outline = image.outline(spot)
+    attenuation = surroundings.attenuation(total.light * per_light)
+    fit = fit_tail(
+        total.profile,
+        float(np.hypot(*outline).min()),
+        surroundings.boundary(),
+        with_floor=True,
+        attenuation=attenuation,
+    )
+    if fit is None:
+        return False
+    floor = fit.estimate(lambda tail: tail.floor)
+    frame = abs(float(np.trapezoid(outline[1], outline[0])))
+    return floor.value > _GLARE_SD * floor.sd and floor.value * frame > _GLARE_SHARE * total.light
 
 
 def _points(image: Image, channel: str, spot: Spot) -> Points:

@@ -45,13 +45,15 @@ def measure_session(
     radial: bool = False,
     glare: bool = False,
     band_mm: float | None = None,
+    hdr_rel_sd: float | None = None,
     progress: Progress | None = None,
 ) -> Measured:
     """Measure the session and write its folder `measured/`, replaced as a whole.
 
     With `hdr_only` only the images are made, and only [camera] is needed; with `radial` the curve comes from the
     whole image, not from the slice, whose full width along the view is `band_mm`; with `glare` an even floor is taken
-    for veiling glare and subtracted. InputError where frames or tables are missing or cannot be used.
+    for veiling glare and subtracted; `hdr_rel_sd` is the relative error of a pixel in images that were merged
+    elsewhere, which their scatter tells if it is None. InputError where frames or tables are missing or cannot be used.
     """
     listed = read_frames(session.path)
     if not hdr_only:
@@ -62,7 +64,7 @@ def measure_session(
     flags += ["not_linear"] if response else []
     every = (bracket_of(kind, session.path, frames, response) for kind in _KINDS)
     brackets: dict[str, Bracket] = {bracket.kind: bracket for bracket in every if bracket.frames}
-    images, camera = read_elsewhere(session, frames)
+    images, camera = read_elsewhere(session, frames, hdr_rel_sd)
     learnt = None
     if brackets:
         camera = camera_of(next(iter(brackets.values())), session.camera)

@@ -11,8 +11,11 @@ def measured_text(measured: Measured) -> str:
     lines = [f"merged {kind}: {' × '.join(map(str, hdr.radiance.shape))}" for kind, hdr in measured.images.items()]
     if measured.slice is not None:
         for name, channel in measured.slice.channels.items():
-            total_r, sd = measured.slice.total_r[name], measured.slice.total_r_sd[name]
+            total = "no R, saturated"
+            if name in measured.slice.total_r:
+                sd = measured.slice.total_r_sd[name]
+                total = f"R {measured.slice.total_r[name]:.4f} ± {sd:.4f} as the camera saw it"
             reach = f"{channel.r_mm[0]:.2g}–{channel.r_mm[-1]:.3g} mm"
-            lines.append(f"{name}: R {total_r:.4f} ± {sd:.4f} as the camera saw it, {len(channel.r_mm)} radii, {reach}")
+            lines.append(f"{name}: {total}, {len(channel.r_mm)} radii, {reach}")
         lines += [f"{flag}: {MEANING[flag]}" for flag in measured.slice.flags]
     return "\n".join(lines)

@@ -61,6 +61,8 @@ class Camera:
     """DN at saturation."""
     gain_e_per_dn: float | None = None
     read_noise_e: float | None = None
+    aperture_mm: float = 6.25
+    """Diameter of the lens's entrance pupil, its focal length over the f-number; for the speckle of a laser."""
     response: Literal["debevec"] | None = None
     """How frames that are not linear (JPEG, video) are made so; None where they are, or are to be refused."""
 
@@ -73,6 +75,8 @@ class Geometry:
     homography: tuple[tuple[float, float, float], ...] | None = None
     """3×3, pixel (x, y, 1) to mm in the surface."""
     mm_per_px_rel_sd: float = 0.0
+    distance_mm: float = 300.0
+    """From the lens to the surface; for the speckle of a laser."""
     view_angle_deg: float = 45.0
     """Camera against the surface normal."""
     view_axis: Literal["x", "y"] = "y"

@@ -1,5 +1,6 @@
 """Bad sessions: a flag or an error, never a silent number. And what the light beyond the frame and the glare do."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -7,6 +8,7 @@ import pytest
 import tifffile
 
 from bssrdf.errors import InputError
+from bssrdf.measure.budget import speckle_rel_sd
 from bssrdf.measure.camera import calibrate_camera
 from bssrdf.measure.session import measure_session
 from bssrdf.session.frames_csv import read_frames, write_frames
@@ -157,6 +159,12 @@ def test_laser_speckle_of_the_tile_goes_into_the_total(tmp_path):
     assert curve.total_r_sd["633nm"] / curve.total_r["633nm"] == pytest.approx(0.15, abs=0.02)
 
 
+def test_speckle_shrinks_with_a_wider_lens(plain):
+    session = plain[0]
+    wide = replace(session, camera=Camera(aperture_mm=25.0), geometry=replace(session.geometry, distance_mm=150.0))
+    assert speckle_rel_sd(0.15, "633nm", wide) == pytest.approx(speckle_rel_sd(0.15, "633nm", session) / 8)
+
+
 def test_a_saturated_spot_has_a_curve_but_no_total(tmp_path):
     bench = Bench()
     bench.pictures["sample"] = 3 * bench.pictures["sample"]
@@ -205,6 +213,10 @@ def test_images_that_another_tool_merged_go_the_same_way(plain, tmp_path):
     ours, theirs = measured.slice.channels["mono"], curve.channels["mono"]
     np.testing.assert_allclose(theirs.rd_per_mm2[:20], ours.rd_per_mm2[:20], rtol=1e-3)
     assert np.all(theirs.sd_per_mm2[:20] > 0)
+    rough = measure_session(other, hdr_rel_sd=0.3).slice.channels["mono"]
+    np.testing.assert_array_equal(rough.rd_per_mm2[3:20] > 0, True)
+    assert np.all(rough.sd_per_mm2[3:20] > 0.99 * theirs.sd_per_mm2[3:20])
+    assert np.median(rough.sd_per_mm2[3:20] / theirs.sd_per_mm2[3:20]) > 3
 
 
 def test_a_flat_field_takes_vignetting_out(tmp_path):

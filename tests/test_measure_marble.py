@@ -109,6 +109,10 @@ def test_a_hard_session_gives_back_the_light(tmp_path, marble, seed):
     assert np.all(np.abs(curve) < np.maximum(0.01, 3 * sd))
 
 
+def test_glare_that_is_not_asked_to_be_taken_off_is_flagged(tmp_path, marble):
+    assert "glare" in measure_session(write_session(tmp_path / "s", marble, 0)).slice.flags
+
+
 @pytest.mark.slow
 def test_twenty_hard_sessions_give_back_the_light(tmp_path, marble):
     every = [errors(tmp_path, marble, seed) for seed in range(20)]
