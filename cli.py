@@ -173,6 +173,17 @@ def measure(session: Path, **options: Any) -> None:
     click.echo(measured_text(measured))
 
 
+@cli.command()
+@click.argument("inputs", nargs=-1, required=True, type=FOLDER, metavar="SESSION_OR_SLICE...")
+def views(inputs: tuple[Path, ...]) -> None:
+    """Hold slices of one sample under several view angles against each other: do they follow the exit law?"""
+    from bssrdf.measure.views import views_text
+    from bssrdf.session.slice_csv import read_slice
+    from bssrdf.workflow import slice_file
+
+    click.echo(views_text([read_slice(slice_file(path)) for path in inputs]))
+
+
 def _by_channel(_: click.Context, option: click.Parameter, given: tuple[str, ...]) -> float | dict[str, float] | None:
     """`CHANNEL=number` options as a table by channel, or one bare number for all channels."""
     try:

@@ -19,7 +19,7 @@ FORCE = click.option("--force", is_flag=True, help="Replace a table that the fil
 
 @click.group(cls=Group)
 def calibrate() -> None:
-    """Measure camera, geometry or colour; write a table into calibration.toml, beside those that it holds."""
+    """Measure camera, geometry, spot or colour; write a table into calibration.toml, beside those that it holds."""
 
 
 @calibrate.command()
@@ -94,6 +94,41 @@ def colour(image: Path, layout: str | None, black: float | None, out: Path, forc
     found = calibrate_colour(image, Camera(layout=layout, black=black))
     _add(out, {"colour": {"matrix": found.matrix.tolist()}}, force)
     click.echo(f"patches missed by {found.rms:.3g} (root mean square, linear sRGB)\n{out}: [colour] written")
+
+
+@calibrate.command()
+@click.argument("path", type=PATHS, metavar="IMAGE_OR_CSV")
+@click.option("--mm-per-px", type=click.FloatRange(min=0, min_open=True), help="Scale across the view, for an image.")
+@click.option("--view-angle-deg", type=click.FloatRange(0, 90, max_open=True), default=45.0, show_default=True)
+@click.option("--view-axis", type=click.Choice(["x", "y"]), default="y", show_default=True)
+@click.option("--layout", help="Colour filter pattern, where the image does not tell.")
+@OUT
+@FORCE
+def spot(
+    path: Path,
+    mm_per_px: float | None,
+    view_angle_deg: float,
+    view_axis: Any,
+    layout: str | None,
+    out: Path,
+    force: bool,
+) -> None:
+    """The beam's 1/e² radius from an IMAGE of its spot on a thin opaque target, or from a knife edge.
+
+    A knife edge is a CSV table of position_mm, light.
+    """
+    from bssrdf.measure.spot_image import radius_of_edge, radius_on_target
+    from bssrdf.session.records import Geometry
+
+    if path.suffix.lower() == ".csv":
+        radius = radius_of_edge(path)
+    elif mm_per_px is None:
+        raise UsageError(f"{path} is an image: give its scale by --mm-per-px")
+    else:
+        geometry = Geometry(mm_per_px, view_angle_deg=view_angle_deg, view_axis=view_axis)
+        radius = radius_on_target(path, geometry, layout)
+    _add(out, {"beam": {"spot_radius_mm": radius}}, force)
+    click.echo(f"spot radius {radius:.4g} mm (1/e²)\n{out}: [beam] written")
 
 
 def _add(out: Path, tables: Mapping[str, Mapping[str, Any]], force: bool) -> None:

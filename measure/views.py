@@ -47,6 +47,8 @@ def compare_views(slices: Sequence[Slice], channel: str) -> ViewComparison:
     last = min(part.r_mm.max() for part in parts)
     r = np.unique(parts[0].r_mm)
     r = r[(r >= first) & (r <= last)]
+    if not r.size:
+        raise InputError(f"channel {channel} has no radius that all slices reach; compare slices of one sample")
     curves = []
     for part, factor in zip(parts, factors, strict=True):
         order = np.argsort(part.r_mm)
@@ -58,3 +60,17 @@ def compare_views(slices: Sequence[Slice], channel: str) -> ViewComparison:
         values / values.mean(axis=0),
         tuple(curve.total_r.get(channel, np.nan) / factor for curve, factor in zip(slices, factors, strict=True)),
     )
+
+
+def views_text(slices: Sequence[Slice]) -> str:
+    """For each channel and angle: the curve over the mean of all angles, and R as the model has it."""
+    lines = []
+    for channel in slices[0].channels:
+        found = compare_views(slices, channel)
+        lines.append(f"{channel}: {found.r_mm[0]:.3g} to {found.r_mm[-1]:.3g} mm, the camera's factor taken off")
+        for angle, curve, total in zip(found.view_angle_deg, found.rd_over_mean, found.total_r, strict=True):
+            low, middle, high = np.percentile(curve, (5, 50, 95))
+            lines.append(
+                f"  {angle:g}°: {middle:.3f} of the mean ({low:.3f} to {high:.3f} over the radii), R {total:.4f}"
+            )
+    return "\n".join(lines)
