@@ -59,7 +59,7 @@ def fit_group(
 
 
 def run_padded(kernel: Callable[[Any], Any], batch: Any) -> Any:
-    """The kernel's result for the rows of `batch`, by chunks on all processors; the last is padded with its last row."""
+    """The kernel's result for the rows of `batch`, by chunks on all processors; the last is padded with its last."""
     rows = len(jax.tree.leaves(batch)[0])
     size = next((size for size in CHUNKS if size >= rows), CHUNKS[-1])
 
