@@ -11,16 +11,24 @@ from numpy.typing import NDArray
 
 TABLE_SIZE = 128
 """Entries of a transmittance table, uniform in the outside cosine from 0 to 1."""
+_SLOPES = 24
+"""Slopes across each way in the average over a rough surface."""
 
 
 def transmittance_table(eta: float, alpha: float) -> NDArray[np.float64]:
-    """Share of the light from an outside direction that a GGX surface of roughness `alpha` lets in."""
-    within = 1 / TABLE_SIZE  # Mitsuba's quadrature fails at both ends
-    mu = mi.Float(np.clip(np.linspace(0, 1, TABLE_SIZE), within, 1 - within**2).astype(np.float32))
+    """Share of the light from an outside direction that is not reflected by a GGX surface of roughness `alpha`."""
+    mu = np.maximum(np.linspace(0, 1, TABLE_SIZE), 1e-3).astype(np.float32)
     if alpha == 0:
-        return 1 - np.array(mi.fresnel(mu, eta)[0], np.float64)
-    toward = mi.Vector3f(dr.sqrt(dr.maximum(1 - mu * mu, 0)), 0, mu)
-    return 1 - np.array(mi.eval_reflectance(mi.MicrofacetType.GGX, alpha, alpha, toward, eta), np.float64)
+        return 1 - np.array(mi.fresnel(mi.Float(mu), eta)[0], np.float64)
+    u = (np.arange(_SLOPES, dtype=np.float32) + 0.5) / _SLOPES
+    mus, first, second = (mi.Float(grid.ravel()) for grid in np.meshgrid(mu, u, u, indexing="ij"))
+    toward = mi.Vector3f(dr.sqrt(dr.maximum(1 - mus * mus, 0)), 0, mus)
+    slopes = mi.MicrofacetDistribution(mi.MicrofacetType.GGX, alpha, True)
+    facet, _ = slopes.sample(toward, mi.Point2f(first, second))
+    cosine = dr.dot(toward, facet)
+    away = 2 * cosine * mi.Vector3f(facet) - toward
+    reflected = dr.select(away.z > 0, mi.fresnel(cosine, eta)[0] * slopes.smith_g1(away, facet), 0)
+    return 1 - np.array(reflected, np.float64).reshape(TABLE_SIZE, -1).mean(axis=1)
 
 
 def refracted_cosine(cos_theta: Any, eta: Any) -> Any:

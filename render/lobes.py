@@ -19,7 +19,6 @@ class Vertex:
     """A surface that a path met, seen from outside the body."""
 
     si: Any
-    ray: Any
     outgoing: Any
     """Back along the path."""
     normal: Any
@@ -74,10 +73,10 @@ class Lobe(Protocol):
 class Ordinary:
     """Any other BSDF of Mitsuba's."""
 
-    def __init__(self, vertex: Vertex, active: Any) -> None:
+    def __init__(self, si: Any, ray: Any, active: Any) -> None:
         self.active = active
-        self.ref = vertex.si
-        self._bsdf = vertex.si.bsdf(vertex.ray)
+        self.ref = si
+        self._bsdf = si.bsdf(ray)
         self._context = mi.BSDFContext()
 
     def light(self, ds: Any) -> Light:

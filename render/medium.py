@@ -123,7 +123,7 @@ class Media:
         bsdf_id = dr.reinterpret_array(mi.UInt32, si.bsdf())
         known = active & (bsdf_id < dr.width(self._rows))
         row = dr.gather(mi.UInt32, self._rows, bsdf_id, known)
-        return row - 1, known & (row > 0)
+        return dr.maximum(row, 1) - 1, known & (row > 0)
 
     def optics(self, si: Any, row: Any, active: Any) -> Optics:
         """The medium at each hit, textures looked up."""
@@ -149,11 +149,8 @@ class Media:
         smooth = 1 - mi.fresnel(dr.maximum(cos_theta, 0), optics.eta)[0]
         if not self.rough:
             return smooth
-        place = dr.clip(cos_theta, 0, 1) * (TABLE_SIZE - 1)
-        index = dr.minimum(mi.UInt32(place), TABLE_SIZE - 2)
-        start = optics.row * TABLE_SIZE + index
-        low, high = dr.gather(mi.Float, self._transmittance, start), dr.gather(mi.Float, self._transmittance, start + 1)
-        return dr.select(optics.alpha > 0, dr.lerp(low, high, place - mi.Float(index)), smooth)
+        tabulated = _interpolated(self._transmittance, TABLE_SIZE, optics.row, cos_theta)
+        return dr.select(optics.alpha > 0, tabulated, smooth)
 
     def normal(self, si: Any, row: Any, active: Any) -> Any:
         """Shading normal, tilted by the displacement map where there is one."""
@@ -168,12 +165,8 @@ class Media:
         first, second = (_value(surface.pair[name], si, active) for name in surface.pair)
         if "sigma_a" in surface.pair:
             return first * surface.scale, second * surface.scale
-        place = dr.clip(first, 0, 1) * (_INVERSION_SIZE - 1)
-        index = dr.minimum(dr.uint32_array_t(mi.Spectrum)(place), _INVERSION_SIZE - 2)
-        start = index + i * _INVERSION_SIZE
-        low = dr.gather(mi.Spectrum, self._inversion, start, active)
-        high = dr.gather(mi.Spectrum, self._inversion, start + 1, active)
-        ratio = dr.square(dr.lerp(low, high, place - index)) / 3
+        q = mi.Spectrum([_interpolated(self._inversion, _INVERSION_SIZE, i, channel) for channel in first])
+        ratio = dr.square(q) / 3
         sigma_tp = surface.scale / dr.maximum(second, 1e-20)
         return ratio * sigma_tp, (1 - ratio) * sigma_tp
 
@@ -272,6 +265,14 @@ def coefficients(surface: Surface) -> Floats:
         return np.stack([first, second]) * surface.scale
     ratio = np.interp(first, np.linspace(0, 1, _INVERSION_SIZE), _inversion(surface.eta)) ** 2 / 3
     return np.stack([ratio, 1 - ratio]) * surface.scale / np.maximum(second, 1e-20)
+
+
+def _interpolated(table: Any, size: int, row: Any, x: Any) -> Any:
+    """A row of a table over a uniform grid of x from 0 to 1."""
+    place = dr.clip(x, 0, 1) * (size - 1)
+    index = dr.minimum(mi.UInt32(place), size - 2)
+    start = row * size + index
+    return dr.lerp(dr.gather(mi.Float, table, start), dr.gather(mi.Float, table, start + 1), place - mi.Float(index))
 
 
 def _extinction(surface: Surface) -> Floats:

@@ -127,13 +127,15 @@ class Tracer:
 
     def _lobes(self, path: Path, si: Any, sampler: Any, active: Any) -> tuple[list[Lobe], Any]:
         """The lobes of all surfaces met, one of them active in a lane, and the throughput with their chance."""
+        if not self.media.surfaces:
+            return [Ordinary(si, path.ray, active)], path.throughput
         row, translucent = self.media.row(si, active)
         optics = self.media.optics(si, row, translucent)
         outgoing = -path.ray.d
         side = dr.select(dr.dot(si.n, outgoing) < 0, mi.Float(-1), mi.Float(1))
         normal = self.media.normal(si, row, translucent) * side
-        vertex = Vertex(si, path.ray, outgoing, normal, side, optics, path.throughput)
-        lobes: list[Lobe] = [Ordinary(vertex, active & ~translucent)] if self.media.others else []
+        vertex = Vertex(si, outgoing, normal, side, optics, path.throughput)
+        lobes: list[Lobe] = [Ordinary(si, path.ray, active & ~translucent)] if self.media.others else []
         cos_o = dr.dot(normal, outgoing)
         translucent &= cos_o > 0
         transmitted = self.media.transmittance(optics, cos_o)
