@@ -80,14 +80,14 @@ def draw(path: Path, number: int, images: dict[str, Pixels]) -> None:
     """All panels as one PNG."""
     import matplotlib.figure
     from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.layout_engine import ConstrainedLayoutEngine
 
     figure = FIGURES[number]
     factor = figure.brighter * exposure(images[figure.exposed_by])
     height, width = next(iter(images.values())).shape[:2]
     rows = -(-len(images) // figure.columns)
     size = (figure.columns * (width + 4) / _DPI, rows * (height + 22) / _DPI)
-    drawn = matplotlib.figure.Figure(figsize=size, layout="constrained", dpi=_DPI)
-    drawn.get_layout_engine().set(w_pad=0.01, h_pad=0.01)
+    drawn = matplotlib.figure.Figure(figsize=size, layout=ConstrainedLayoutEngine(w_pad=0.01, h_pad=0.01), dpi=_DPI)
     FigureCanvasAgg(drawn)
     for axes, (title, image) in zip(
         drawn.subplots(rows, figure.columns, squeeze=False).flat, images.items(), strict=True
