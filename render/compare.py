@@ -18,6 +18,8 @@ from bssrdf.session.atomic import atomic_write
 
 EPSILON = 0.01
 """Of the reference's mean square, in the denominator of relMSE."""
+TILES = 24
+"""A side, over which bias is told from noise and differences are drawn."""
 _NOISIEST = 1.0
 """Range of the difference's colour scale, relative to the reference."""
 
@@ -34,9 +36,9 @@ class Score:
     mean_ratio: float
     mean_ratio_se: float
     rel_mse: float
-    """Noise of both pictures included."""
+    """Of pixels, the noise of both pictures included."""
     rel_mse_bias: float
-    """Less the noise that their variances account for; may come out below 0."""
+    """Of tiles, less the noise that their variances account for; may come out below 0."""
 
 
 def compare(
@@ -62,11 +64,16 @@ def score(model: Model, picture: Picture, reference: Picture) -> Score:
     """relMSE with ε = 0.01 mean², and the ratio of the means with its standard error."""
     mean, target = float(picture.radiance.mean()), float(reference.radiance.mean())
     same = picture is reference
-    denominator = np.square(reference.radiance) + EPSILON * target**2
-    noise = np.zeros_like(denominator) if same else picture.variance + reference.variance
-    squares = np.square(picture.radiance - reference.radiance)
-    errors = [_relative_se(each) for each in (picture, reference)]
     ratio = mean / target if target > 0 else math.nan
+    errors = [_relative_se(each) for each in (picture, reference)]
+    tile = _tile_side(reference.radiance)
+    smooth = tiled(reference.radiance, tile)
+    denominator = np.square(smooth) + EPSILON * target**2
+    whole = np.repeat(np.repeat(denominator, tile, axis=0), tile, axis=1)
+    difference = picture.radiance - reference.radiance
+    squares = np.square(difference[: whole.shape[0], : whole.shape[1]]) / whole
+    noise = tiled(picture.variance + reference.variance, tile) / tile**2
+    bias = 0.0 if same else float(((np.square(tiled(difference, tile)) - noise) / denominator).mean())
     return Score(
         model,
         picture.samples,
@@ -75,15 +82,26 @@ def score(model: Model, picture: Picture, reference: Picture) -> Score:
         mean,
         ratio,
         0.0 if same else ratio * math.hypot(*errors),
-        float((squares / denominator).mean()),
-        float(((squares - noise) / denominator).mean()),
+        float(squares.mean()),
+        bias,
     )
+
+
+def tiled(image: Pixels, tile: int) -> Pixels:
+    """Means over squares of `tile` pixels a side; what is left over at the sides is cut off."""
+    high, wide = image.shape[0] // tile, image.shape[1] // tile
+    cut = image[: high * tile, : wide * tile]
+    return np.asarray(cut.reshape(high, tile, wide, tile, -1).mean(axis=(1, 3)), np.float32)
+
+
+def _tile_side(image: Pixels) -> int:
+    return max(1, min(image.shape[:2]) // TILES)
 
 
 def scores_text(scores: list[Score]) -> str:
     """A table, one line a model."""
     lines = [
-        "| model | samples | seconds | compile s | mean | of the reference | relMSE | of it bias |",
+        "| model | samples | seconds | compile s | mean | of the reference | relMSE | of the bias |",
         "|---|--:|--:|--:|--:|--:|--:|--:|",
     ]
     lines += [
@@ -107,12 +125,12 @@ def write_comparison(
 
 
 def draw_comparison(path: Path, images: Mapping[Model, Pixels]) -> None:
-    """All pictures at the exposure of the last, and under each its relative difference from that one."""
+    """All pictures at one exposure, and under each its relative difference from the last, by tiles."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
     *others, reference = images
-    factor = exposure(images[reference])
+    factor = max(exposure(image) for image in images.values())
     rows = 2 if others else 1
     figure = Figure(figsize=(3.2 * len(images), 3.0 * rows), layout="constrained")
     FigureCanvasAgg(figure)
@@ -122,14 +140,18 @@ def draw_comparison(path: Path, images: Mapping[Model, Pixels]) -> None:
     for axes, (model, image) in zip(panels[0], images.items(), strict=True):
         axes.imshow(shown(image, factor))
         axes.set_title(model)
-    target = images[reference].mean(axis=2)
+    target = _grey_tiles(images[reference])
     for axes, model in zip(panels[-1], others, strict=False):
-        difference = (images[model].mean(axis=2) - target) / np.sqrt(target**2 + EPSILON * target.mean() ** 2)
+        difference = (_grey_tiles(images[model]) - target) / np.sqrt(target**2 + EPSILON * target.mean() ** 2)
         drawn = axes.imshow(difference, cmap="RdBu_r", vmin=-_NOISIEST, vmax=_NOISIEST)
         axes.set_title(f"{model} / {reference} − 1")
     if others:
         figure.colorbar(drawn, ax=panels[-1], shrink=0.8)
     _write(figure, path)
+
+
+def _grey_tiles(image: Pixels) -> Pixels:
+    return tiled(image, _tile_side(image)).mean(axis=2)
 
 
 def _write(figure: Any, path: Path) -> None:
