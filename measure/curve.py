@@ -25,7 +25,7 @@ from bssrdf.measure.reflectance import (
     total_light,
 )
 from bssrdf.measure.tail import Estimate, Surroundings
-from bssrdf.session.records import ChannelSlice, Geometry, Material, Reference, Session, Slice
+from bssrdf.session.records import TOTAL_R_MAX, ChannelSlice, Geometry, Material, Reference, Session, Slice
 
 _TILE_ETA = 1.35
 """Sintered PTFE."""
@@ -95,7 +95,7 @@ def measure_slice(
             common.append(speckle_rel_sd(radius.value, channel, session))
         scale_rel_sd.append(float(np.linalg.norm(common)))
         if not sample.is_saturated(channel):
-            totals[channel] = back.light * per_light
+            totals[channel] = _plausible(back.light * per_light, channel, session)
             totals_sd[channel] = totals[channel] * float(np.hypot(back.sd / back.light, scale_rel_sd[-1]))
         differ = any(_disagree(side, back.profile, around) for side in profiles.values())
         raised = {
@@ -125,6 +125,16 @@ def measure_slice(
         mm_rel_sd=geometry.mm_per_px_rel_sd,
         flags=tuple(dict.fromkeys(flags)),
     )
+
+
+def _plausible(total: float, channel: str, session: Session) -> float:
+    """The total; InputError where no surface can be as bright, or as dark."""
+    if not 0 < total <= TOTAL_R_MAX:
+        raise InputError(
+            f"{session.path}: R = {total:.4g} in channel {channel} is beyond what a sample can reflect; was the "
+            "reference lit by the same beam, and are its reflectance and the darks right?"
+        )
+    return total
 
 
 def _tables(session: Session) -> tuple[Material, Geometry, Reference]:

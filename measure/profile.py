@@ -109,9 +109,9 @@ def profile(points: Points, edges: Array, footprint: tuple[float, float], band: 
     points, r = Points(*(field[r < edges[-1]] for field in points)), r[r < edges[-1]]
     index = np.searchsorted(edges, r, side="right") - 1
     weight = _density_weight(r, band)
-    everything = np.ones(len(r), bool)
     flat = np.ones(len(edges) - 1)
-    out = _bins(points, edges, index, weight, np.ones(len(r)), flat, 0 * flat, everything)
+    keep = _not_outlying(points, np.zeros(len(r)), index, len(edges) - 1)
+    out = _bins(points, edges, index, weight, np.ones(len(r)), flat, 0 * flat, keep)
     for _ in range(_PASSES):
         curve = Curve(out)
         model = _footprint_mean(curve, points, footprint)

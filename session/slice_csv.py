@@ -29,7 +29,7 @@ from bssrdf.session.checks import (
     text,
 )
 from bssrdf.session.csv_table import csv_text, parse_csv
-from bssrdf.session.records import FORMAT, Array, ChannelSlice, Slice
+from bssrdf.session.records import FORMAT, TOTAL_R_MAX, Array, ChannelSlice, Slice
 from bssrdf.session.toml_text import toml_table
 
 _NOT_NEGATIVE = number(at_least=0)
@@ -59,7 +59,7 @@ HEADER: dict[str, Check] = {
     "incidence_deg": _ANGLE,
     "spot_radius_mm": number(above=0),
     "spot_radius_sd_mm": _NOT_NEGATIVE,
-    "total_r": _one_or_by_channel(number(above=0, at_most=1.1)),
+    "total_r": _one_or_by_channel(number(above=0, at_most=TOTAL_R_MAX)),
     "total_r_sd": _one_or_by_channel(_NOT_NEGATIVE),
     "lost_fraction": _one_or_by_channel(number(at_least=0, below=1)),
     "scale_rel_sd": _NOT_NEGATIVE,
