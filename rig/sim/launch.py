@@ -19,6 +19,9 @@ from bssrdf.session.toml_text import toml_table
 
 _START_S = 30.0
 _REPLY_S = 0.3
+SCALE_REL_SD = 0.002
+TILE_SD = 0.001
+"""What rig.toml states as the errors of the scale, relative, and of the tile's reflectance."""
 _OVERHEAD_S = 2.0
 _WATCHDOG_S = 1.5
 """Of our time, however fast the bench runs."""
@@ -97,7 +100,8 @@ class SimulatedBench:
         if scene.perspective:
             geometry["homography"] = view.homography().tolist()
         else:
-            geometry["mm_per_px"] = view.mm_per_px
+            geometry["mm_per_px"] = view.mm_per_px * (1 + scene.scale_error)
+            geometry["mm_per_px_rel_sd"] = SCALE_REL_SD
         tables = {
             "shutter": shutter,
             "beam": {**beam, "kind": "white", "spot_radius_mm": scene.spot_radius_mm},
@@ -112,8 +116,8 @@ class SimulatedBench:
             "geometry": geometry,
             "reference": {
                 "name": scene.tile.name,
-                "reflectance": scene.radiance_factors(scene.tile),
-                "reflectance_sd": (0.001,) * len(scene.tile.media),
+                "reflectance": [factor * (1 + scene.tile_error) for factor in scene.radiance_factors(scene.tile)],
+                "reflectance_sd": (TILE_SD,) * len(scene.tile.media),
             },
             "simulated": {"world": str(self._socket), "speed": self.speed},
         }

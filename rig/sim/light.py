@@ -146,6 +146,7 @@ def _smooth_rows(around: Array, line: Array) -> Array:
     width = np.pi / _AZIMUTHS
     middle = (np.arange(_AZIMUTHS) + 0.5) * width
     weights = 2 * np.cos(middle[:, None] * order) / np.sinc(order * width / 2 / np.pi)
+    weights[:, -1] /= 2  # the series goes on: half its last term is nearer to the sum than all of it or none
     share = light[counted]
     ratios = (around[counted] @ weights) / share[:, None]
     harmonics = np.zeros((_HARMONICS, line.size + 1))

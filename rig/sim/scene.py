@@ -34,6 +34,9 @@ class Scene:
     view_angle_deg: float = 45.0
     spot_radius_mm: float = 0.2
     perspective: float = 0.0
+    scale_error: float = 0.0
+    tile_error: float = 0.0
+    """Relative errors of what rig.toml says of scale and tile, within the errors that it states for them."""
     glare: float = 0.0
     channel_power: tuple[float, float, float] = (0.7, 1.0, 0.6)
     """Signal of each channel for the same radiance factor, relative to green."""
