@@ -22,10 +22,10 @@ import drjit as dr
 import mitsuba as mi
 
 from bssrdf.errors import InputError
-from bssrdf.render.medium import register_medium
 from bssrdf.render.meshes import openings
 from bssrdf.render.paths import TERMS, Settings, Tracer
 from bssrdf.render.sampling import LAWS
+from bssrdf.render.surface import register_medium
 
 VARIANTS = ("llvm_ad_rgb", "llvm_ad_mono", "cuda_ad_rgb", "cuda_ad_mono")
 
