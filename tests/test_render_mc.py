@@ -1,4 +1,4 @@
-"""volpath as we set it up is the Monte Carlo of `transport`: totals, single scattering, and R_d by radius."""
+"""The scenes' `mc` is the Monte Carlo of `transport`, in total and of one scattering."""
 
 from __future__ import annotations
 
@@ -58,22 +58,3 @@ def test_paths_of_one_scattering_are_first_order_light(x64: None) -> None:
     single = (1 - mirror) * float(first_order_total(SIGMA_SP, SIGMA_A, 0.0, ETA))
     assert mean - mirror == pytest.approx(single, abs=4 * se)
     assert se < 0.05 * single
-
-
-@pytest.mark.slow
-def test_a_narrow_beam_spreads_as_in_our_monte_carlo() -> None:
-    """Between matched media, where volpath finds the beam by next event estimation."""
-    pixels = 48
-    images = runs("beam", eta=1.0, depth=120, pixels=pixels, samples=128, n=10)
-    edges = np.linspace(0, 5, 51)
-    tally = simulate(
-        MonteCarloMedium.reduced(SIGMA_A, SIGMA_SP, 0.0, 1.0), n_photons=2_000_000, r_edges_mm=edges, seed=1
-    )
-    seen, _ = tally.radiance(0.0)
-    axis = (np.arange(pixels) + 0.5) * 12 / pixels - 6
-    radius = np.hypot(*np.meshgrid(axis, axis))
-    expected = np.interp(radius, (edges[1:] + edges[:-1]) / 2, seen) / np.pi
-    for low, high in ((0.75, 1.5), (1.5, 2.5), (2.5, 4.0)):
-        inside = (radius > low) & (radius < high)
-        mean, se = mean_and_se(images[:, inside])
-        assert mean == pytest.approx(expected[inside].mean(), abs=4 * se, rel=0.02)
