@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
@@ -15,6 +15,9 @@ from bssrdf.cli_calibrate import calibrate
 from bssrdf.cli_render import compare, doctor, render
 from bssrdf.console import BAD_INPUT, Group, is_quiet, keep_compiled, run, warn
 from bssrdf.errors import BssrdfError, UsageError
+
+if TYPE_CHECKING:
+    from bssrdf.session.records import Fit
 
 FLAGGED = 5
 
@@ -236,6 +239,7 @@ def _slice_keys(command: Decorated) -> Decorated:
     "--window-mm", type=float, nargs=2, metavar="LO HI", help="Radii to use, instead of the automatic window."
 )
 @click.option("--fit-g", is_flag=True, help="Fit g as well, from the shape near the source.")
+@click.option("--joint", is_flag=True, help="Fit all inputs, of one material, together: one result.")
 @click.option("--robust", is_flag=True, help="Huber's loss, for dust and glare; the fit is flagged.")
 @click.option("--explain", is_flag=True, help="Say how --model auto chooses.")
 @click.option("--json", "as_json", is_flag=True, help="One compact JSON object a line.")
@@ -250,6 +254,7 @@ def fit(
     scale: Any,
     window_mm: tuple[float, float] | None,
     fit_g: bool,
+    joint: bool,
     robust: bool,
     explain: bool,
     as_json: bool,
@@ -259,8 +264,10 @@ def fit(
     **keys: Any,
 ) -> None:
     """Fit σa and σs′ to each slice; a session's fit is written to its fit.json."""
-    if out is not None and len(inputs) > 1:
-        raise UsageError(f"--out takes one input, not {len(inputs)}; fit them one by one, or use --json")
+    if out is not None and len(inputs) > 1 and not joint:
+        raise UsageError(f"--out takes one input, not {len(inputs)}; fit them one by one or --joint, or use --json")
+    if joint and (fit_g or len(inputs) < 2):
+        raise UsageError("--joint takes two inputs or more, and no --fit-g: give g by --g")
     if window_mm is not None and not 0 <= window_mm[0] < window_mm[1]:
         raise UsageError(f"--window-mm {window_mm[0]:g} {window_mm[1]:g} must be two radii, the smaller one first")
     target = out and _fresh(out, force)
@@ -269,7 +276,7 @@ def fit(
     from bssrdf.fit.run import FitOptions
     from bssrdf.report.fit_text import fit_text
     from bssrdf.session.fit_json import failure_line, fit_line
-    from bssrdf.workflow import fit_files
+    from bssrdf.workflow import fit_files, fit_joint_files
 
     if explain:
         from bssrdf.fit.choose import RULE
@@ -277,9 +284,13 @@ def fit(
         click.echo(RULE, err=as_json)
     options = FitOptions(model=model, constraint=constraint, scale=scale, window_mm=window_mm, robust=robust)
     given = {name: value for name, value in keys.items() if value is not None}
-    outcomes = fit_files(inputs, options, given, out=target, with_g=fit_g, announce=_announce)
+    outcomes: list[Fit | BssrdfError]
+    if joint:
+        outcomes = [fit_joint_files(inputs, options, given, out=target, announce=_announce)]
+    else:
+        outcomes = fit_files(inputs, options, given, out=target, with_g=fit_g, announce=_announce)
     code = 0
-    for path, outcome in zip(inputs, outcomes, strict=True):
+    for path, outcome in zip(inputs, outcomes, strict=not joint):
         if isinstance(outcome, BssrdfError):
             code = outcome.exit_code
             click.echo(failure_line(path, outcome)) if as_json else warn(str(outcome))

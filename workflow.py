@@ -54,6 +54,28 @@ def fit_files(
     ]
 
 
+def fit_joint_files(
+    inputs: Sequence[Path],
+    options: FitOptions,
+    keys: Mapping[str, Any],
+    *,
+    out: Path | None = None,
+    announce: Callable[[float], None] | None = None,
+) -> Fit:
+    """One fit for sessions or slices of one material together, written to `out`; its options name every input."""
+    from bssrdf.fit.joint import fit_joint
+
+    pieces = [_read(path, keys) for path in inputs]
+    channels = fit_joint(pieces, options, announce=announce)
+    for path in inputs:
+        channels = _with_setting(path, channels)
+    sources = [{"path": str(slice_file(path)), "sha256": sha256_of(slice_file(path))} for path in inputs]
+    fit = _fit(inputs[0], pieces[0], channels, _asked(options, keys) | {"joint": sources})
+    if out is not None:
+        write_fit(out, fit)
+    return fit
+
+
 def read_fits(paths: Sequence[Path]) -> list[Fit]:
     """The fits that session folders or fit.json files stand for."""
     return [read_fit(path / "fit.json" if path.is_dir() else path) for path in paths]
@@ -134,28 +156,42 @@ def _finish(
     """The fit with where it came from, written to where it belongs."""
     if isinstance(channels, BssrdfError):
         raise channels
-    session = _session(path)
-    if session is not None and session.material is not None:
-        channels = {
-            name: replace(channel, flags=(*channel.flags, *setting_flags(session.material, channel)))
-            for name, channel in channels.items()
-        }
+    channels = _with_setting(path, channels)
     if g_fitted:
         channels = {name: replace(channel, flags=(*channel.flags, "g_fitted")) for name, channel in channels.items()}
-    fit = Fit(
+    fit = _fit(path, piece, channels, _asked(options, keys))
+    target = out or (path / "fit.json" if path.is_dir() else None)
+    if target is not None:
+        write_fit(target, fit)
+    return fit
+
+
+def _with_setting(path: Path, channels: dict[str, ChannelFit]) -> dict[str, ChannelFit]:
+    """The fits with what their session says of the sample's mounting, each flag once."""
+    session = _session(path)
+    if session is None or session.material is None:
+        return channels
+    return {
+        name: replace(channel, flags=tuple(dict.fromkeys((*channel.flags, *setting_flags(session.material, channel)))))
+        for name, channel in channels.items()
+    }
+
+
+def _asked(options: FitOptions, keys: Mapping[str, Any]) -> dict[str, Any]:
+    return {name: value for name, value in asdict(options).items() if value is not None} | dict(keys)
+
+
+def _fit(path: Path, piece: Slice, channels: dict[str, ChannelFit], options: dict[str, Any]) -> Fit:
+    return Fit(
         version=bssrdf.__version__,
         input_path=str(slice_file(path)),
         input_sha256=sha256_of(slice_file(path)),
-        options={name: value for name, value in asdict(options).items() if value is not None} | dict(keys),
+        options=options,
         material=piece.material,
         eta=piece.eta,
         g=piece.g,
         channels=channels,
     )
-    target = out or (path / "fit.json" if path.is_dir() else None)
-    if target is not None:
-        write_fit(target, fit)
-    return fit
 
 
 def _caught(call: Callable[..., T], *arguments: Any) -> T | BssrdfError:

@@ -9,6 +9,7 @@ MEANING = {
     "g_assumed": "The slice does not say g: 0 was taken. R and σa depend on it (see sensitivity).",
     "g_fitted": "g was fitted to the curve as well.",
     "g_suspect": "The curve fits another g much better than the one given.",
+    "joint": "Several slices were fitted together; the flags of each stand here too.",
     "light_lost": "Over 5 % of the light fell outside the frame: R rests on an estimate.",
     "narrow_sample": "The sample reaches less than 3/σtr from the beam: light leaves by its sides, σa is too high.",
     "noise": "The curve does not determine σs′ to within a factor: nothing was identified.",

@@ -129,7 +129,7 @@ def _relaid(task: Task, model: ForwardModel, data: Curves, known: Float[Array, "
 
     def refit(number: Int[Array, ""], found: Solution) -> Solution:
         steps = jnp.where(number < last, GLANCE, gauss_newton.MAX_STEPS)
-        return optimise(task, model, data, _reweighted(task, model, data, known, found), steps)
+        return optimise(task, model, data, reweighted(task, model, data, known, found), steps)
 
     first = Solution(point, known, known, jnp.ones_like(known), jnp.ones_like(data.total_r), jnp.asarray(True))
     return jax.lax.fori_loop(0, last + 1, refit, first)
@@ -152,7 +152,7 @@ def optimise(
     return begin._replace(point=_unpack(task, free, begin.point.q), converged=converged)
 
 
-def _reweighted(task: Task, model: ForwardModel, data: Curves, known: Float[Array, " n"], last: Solution) -> Solution:
+def reweighted(task: Task, model: ForwardModel, data: Curves, known: Float[Array, " n"], last: Solution) -> Solution:
     """Window, spot and weights as the last point has them."""
     inside = counts(model, last.point.log_sigma_tp, data.r_lo, data.r_hi, known, data.window)
     point = last.point
@@ -229,7 +229,7 @@ def judge(task: Task, model: ForwardModel, data: Curves, common: Common, solutio
     chi2 = misfit.value @ misfit.value / jnp.maximum(dof, 1)
 
     inverse = _inverse(gauss_newton.gram(misfit.by_free, misfit.by_free))
-    scatter = misfit.by_free * _share_of_noise(task, data, solution, chi2)[None, :]
+    scatter = misfit.by_free * share_of_noise(task, data, solution, chi2)[None, :]
     covariance = _shape_of_free(task, inverse @ gauss_newton.gram(scatter, misfit.by_free) @ inverse)
     for response, q_shift, sd in _common_responses(task, model, data, point, misfit, common):
         free_shift = -inverse @ (misfit.by_free * response[None, :]).sum(axis=1)
@@ -278,7 +278,7 @@ def _common_responses(
     ]
 
 
-def _share_of_noise(task: Task, data: Curves, solution: Solution, chi2: Scalar) -> Float[Array, " m"]:
+def share_of_noise(task: Task, data: Curves, solution: Solution, chi2: Scalar) -> Float[Array, " m"]:
     """Variance of the standardised residuals that is noise of the data and not allowance for the model."""
     known = jnp.where(data.weight > 0, data.weight, 1)
     share = jnp.square(solution.weight / known) if task.errors_known else jnp.full_like(known, chi2)

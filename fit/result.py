@@ -82,7 +82,7 @@ def channel_fit(
         sigma_a_interval95_per_mm=interval,
         sigma_sp_per_mm=sigma_sp,
         sigma_sp_sd_per_mm=float(judged.sigma_sp_sd),
-        sigma_sp_interval95_per_mm=_spread(sigma_sp, float(judged.sigma_sp_sd)),
+        sigma_sp_interval95_per_mm=spread_of(sigma_sp, float(judged.sigma_sp_sd)),
         correlation=float(judged.correlation),
         total_r_measured=job.piece.total_r.get(job.channel, float("nan")),
         total_r_model=float(judged.total_r),
@@ -96,7 +96,7 @@ def channel_fit(
     )
 
 
-def _spread(value: float, sd: float) -> tuple[float, float]:
+def spread_of(value: float, sd: float) -> tuple[float, float]:
     """95 % of a quantity that cannot be negative: its logarithm is taken as normal."""
     if not value > 0 or not np.isfinite(sd):
         return (0.0, float("inf"))
@@ -108,7 +108,7 @@ def _linear_interval(judged: Judged) -> tuple[float, float]:
     """σa at q ± 1.96 sd; far from 0 that is the lognormal interval, and at 0 it stays one-sided."""
     q, sd = float(judged.solution.point.q), float(judged.q_sd)
     if q > PARABOLIC * sd:
-        return _spread(float(judged.sigma_a), float(judged.sigma_a_sd))
+        return spread_of(float(judged.sigma_a), float(judged.sigma_a_sd))
     scale = float(np.exp(judged.solution.point.log_sigma_tp)) / 3
     return scale * max(q - Z95 * sd, 0.0) ** 2, scale * max(q + Z95 * sd, 0.0) ** 2
 
