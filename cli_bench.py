@@ -46,6 +46,20 @@ def fit(out: Path | None, force: bool) -> None:
 
 
 @bench.command()
+@OUT
+@FORCE
+@click.option("--trials", type=click.IntRange(2), default=64, show_default=True, help="For each cell.")
+def trials(out: Path | None, force: bool, trials: int) -> None:
+    """Fit the engine's own light of every cell of the table, again and again: errors, bounds, intervals."""
+    from bssrdf.bench.trials import run_trials, table
+    from bssrdf.report.progress import steps
+
+    with steps(quiet=is_quiet()) as progress:
+        outcomes = run_trials(out=_folder(out, force), progress=progress, trials=trials)
+    click.echo(table(outcomes))
+
+
+@bench.command()
 @click.option("--out", type=click.Path(path_type=Path), default=Path("bench-transport"), show_default=True)
 @FORCE
 def transport(out: Path, force: bool) -> None:

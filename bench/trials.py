@@ -1,0 +1,256 @@
+"""`bssrdf bench trials`: does a fit find what made the light, and do its intervals hold it?
+
+Each cell of the material table is walked by the engine (`trial_light`). A trial is that light with fresh noise, 1 % a
+radius and 0.2 % on R, fitted by `soft`. The walk's own noise is counted as part of the 1 %.
+"""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Literal, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from numpy.typing import NDArray
+
+from bssrdf.bench.trial_light import N_RADII, Cell, TrialLight, edges_mm, shipped
+from bssrdf.fit.choose import model_of
+from bssrdf.fit.predict import Parameters, curve_with_slopes, total_slope
+from bssrdf.fit.run import FitOptions, fit_slices
+from bssrdf.session.records import ChannelFit, ChannelSlice, Slice
+from bssrdf.transport.forward import ForwardModel
+from bssrdf.transport.precision import scoped_x64
+
+Floats = NDArray[np.float64]
+ModelName = Literal["mc", "dipole", "auto"]
+MODELS: tuple[ModelName, ...] = ("mc", "dipole", "auto")
+NOISE = 0.01
+TOTAL_NOISE = 0.002
+LEAST_OVER_WALK = 1.2
+"""A radius where the walk's own noise is not below the trial's gets this much more than the walk's."""
+TRIALS = 64
+SEED = 7
+KEYS = ("sigma_sp", "sigma_a")
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """One cell by one model, over all trials; pairs are (σs′, σa), errors are relative."""
+
+    cell: str
+    model: ModelName
+    trials: int
+    light_noise: float
+    median_error: tuple[float, float]
+    bias: tuple[float, float]
+    """Median."""
+    model_error: tuple[float, float]
+    """As stated, median; NaN where none was."""
+    bound: tuple[float, float]
+    """Cramér–Rao's, from slice and R."""
+    sd: tuple[float, float]
+    """Over the trials, of what `bound_of_noise` bounds."""
+    bound_of_noise: tuple[float, float]
+    """Cramér–Rao's for the noise that differs between trials: less the walk's own."""
+    inside: tuple[int, int]
+    """95 % intervals that hold the truth, of the `judged` fits."""
+    judged: int
+    """Fits that converged with two-sided intervals and no flag."""
+    apart_inside: tuple[int, int]
+    """The same of the others."""
+    rms: float
+    """Of the errors of both coefficients together."""
+    flags: dict[str, int]
+    """How often each was raised."""
+    models: dict[str, int]
+    """Which model each fit took."""
+
+
+@scoped_x64
+def run_trials(
+    *,
+    out: Path | None = None,
+    progress: Callable[[str, int, int], None] | None = None,
+    lights: Sequence[TrialLight] | None = None,
+    trials: int = TRIALS,
+    noise: float = NOISE,
+    models: Sequence[ModelName] = MODELS,
+) -> list[Outcome]:
+    """Fit all trials of every cell by every model; with `out` also write trials.json there."""
+    lights = list(shipped().values()) if lights is None else lights
+    slices = [piece for at, light in enumerate(lights) for piece in _slices(light, trials, noise, SEED + at)]
+    outcomes = []
+    for number, model in enumerate(models):
+        if progress is not None:
+            progress(model, number, len(models))
+        fits = [fit["G"] for fit in fit_slices(slices, FitOptions(model=model, constraint="soft"))]
+        outcomes += [
+            _outcome(light, model, fits[at * trials : (at + 1) * trials], noise) for at, light in enumerate(lights)
+        ]
+    if out is not None:
+        out.mkdir(parents=True, exist_ok=True)
+        (out / "trials.json").write_text(json.dumps([asdict(each) for each in outcomes], indent=1) + "\n")
+    return outcomes
+
+
+def table(outcomes: Sequence[Outcome]) -> str:
+    """A line for each cell and model, and what they come to, as Markdown."""
+    lines = [
+        "| cell | model | light's own noise | error σs′ / σa, median % | bound % | sd / bound | intervals that hold |",
+        "|---|---|---:|---:|---:|---:|---:|",
+    ]
+    for o in outcomes:
+        ratio = [sd / bound for sd, bound in zip(o.sd, o.bound_of_noise, strict=True)]
+        lines.append(
+            f"| {o.cell} | {o.model} | {100 * o.light_noise:.2f} % "
+            f"| {100 * o.median_error[0]:.2f} / {100 * o.median_error[1]:.2f} "
+            f"| {100 * o.bound[0]:.2f} / {100 * o.bound[1]:.2f} | {ratio[0]:.2f} / {ratio[1]:.2f} "
+            f"| {o.inside[0]} / {o.inside[1]} of {o.judged} |"
+        )
+    return "\n".join([*lines, "", *summary(outcomes)])
+
+
+def summary(outcomes: Sequence[Outcome]) -> list[str]:
+    """What all cells come to, a line each."""
+    by_model: dict[str, list[Outcome]] = {}
+    for each in outcomes:
+        by_model.setdefault(each.model, []).append(each)
+    lines = []
+    for model, each in by_model.items():
+        judged, apart = sum(o.judged for o in each), sum(o.trials - o.judged for o in each)
+        for at, name in enumerate(("σs′", "σa")):
+            inside, outside = sum(o.inside[at] for o in each), sum(o.apart_inside[at] for o in each)
+            ratio = np.sqrt(np.mean([(o.sd[at] / o.bound_of_noise[at]) ** 2 for o in each if o.judged]))
+            worst = max(each, key=lambda o, at=at: o.median_error[at])  # type: ignore[misc]
+            lines.append(
+                f"{model}, {name}: intervals hold {inside} of {judged} judged ({100 * inside / max(judged, 1):.1f} %), "
+                f"{outside} of {apart} flagged or one-sided; sd {ratio:.2f} × the bound; "
+                f"largest median error {100 * worst.median_error[at]:.2f} % ({worst.cell})"
+            )
+    for at, name in enumerate(("σs′", "σa")):
+        covered = [abs(o.bias[at]) <= o.model_error[at] for o in by_model.get("dipole", [])]
+        if covered:
+            lines.append(f"dipole, {name}: the stated model error covers the bias in {sum(covered)} of {len(covered)}")
+    if {"mc", "dipole", "auto"} <= set(by_model):
+        lines.append("auto against the better model, worst cell: {:.2f} ({})".format(*_auto_at_worst(by_model)))
+    return lines
+
+
+def _auto_at_worst(by_model: dict[str, list[Outcome]]) -> tuple[float, str]:
+    rows = zip(by_model["auto"], by_model["mc"], by_model["dipole"], strict=True)
+    return max((auto.rms / min(mc.rms, dipole.rms), auto.cell) for auto, mc, dipole in rows)
+
+
+def _slices(light: TrialLight, trials: int, noise: float, seed: int) -> list[Slice]:
+    """The same light with fresh noise each time."""
+    rng = np.random.default_rng(seed)
+    edges, used = edges_mm(light.cell), light.used
+    r_lo, r_hi, rd = edges[:-1][used], edges[1:][used], light.rd[used]
+    stated, drawn = _noise(light, noise)
+    pieces = []
+    for _ in range(trials):
+        noisy = rd * (1 + drawn.curve * rng.standard_normal(rd.size))
+        channel = ChannelSlice((r_lo + r_hi) / 2, noisy, stated.curve * rd, r_lo, r_hi)
+        pieces.append(
+            Slice(
+                channels={"G": channel},
+                eta=light.cell.eta,
+                g=0.0,
+                flux="entering",
+                exit="hemisphere",
+                total_r={"G": light.total * (1 + drawn.total * rng.standard_normal())},
+                total_r_sd={"G": stated.total * light.total},
+            )
+        )
+    return pieces
+
+
+class Noise(NamedTuple):
+    """Relative standard deviations."""
+
+    curve: Floats
+    """(n,)"""
+    total: float
+
+
+def _noise(light: TrialLight, noise: float) -> tuple[Noise, Noise]:
+    """What a trial's errors are, the walk's own among them, and what is left of that to draw."""
+    walk = light.rd_se[light.used] / light.rd[light.used]
+    walk_total = light.total_se / light.total
+    stated = Noise(np.maximum(noise, LEAST_OVER_WALK * walk), max(TOTAL_NOISE, LEAST_OVER_WALK * walk_total))
+    drawn = Noise(np.sqrt(stated.curve**2 - walk**2), float(np.sqrt(stated.total**2 - walk_total**2)))
+    return stated, drawn
+
+
+def cramer_rao(light: TrialLight, noise: Noise) -> tuple[float, float]:
+    """Least relative sd of (σs′, σa) that any unbiased estimate can have, by the table's derivatives at the truth."""
+    cell = light.cell
+    edges = edges_mm(cell)[-N_RADII - 1 :]
+    used = slice(0, light.rd[light.used].size)
+    sigma_tp = cell.sigma_a + cell.sigma_sp
+    q = np.sqrt(3 * cell.sigma_a / sigma_tp)
+    point = Parameters(jnp.asarray(np.log(sigma_tp)), jnp.asarray(q), jnp.asarray(0.0))
+    model = model_of("mc", cell.eta, 0.0)
+    (made, *by), by_q = _derivatives(model, point, jnp.asarray(edges[:-1]), jnp.asarray(edges[1:]))
+    slopes = np.stack(by)[:, used] / (np.asarray(made)[used] * noise.curve)
+    information = slopes @ slopes.T
+    information[1, 1] += (float(by_q) / (noise.total * light.total)) ** 2
+    covariance = np.linalg.inv(information)
+    to_log = np.array([[1.0, -2 * q / 3 / (1 - q * q / 3)], [1.0, 2 / q]])
+    sd_sp, sd_a = np.sqrt(np.diag(to_log @ covariance @ to_log.T))
+    return float(sd_sp), float(sd_a)
+
+
+@jax.jit
+def _derivatives(
+    model: ForwardModel, point: Parameters, r_lo: Array, r_hi: Array
+) -> tuple[tuple[Array, Array, Array], Array]:
+    """R_d and its derivatives by ln σt′ and q, and that of R by q."""
+    return curve_with_slopes(model, point, r_lo, r_hi, True), total_slope(model, point.q)
+
+
+def _outcome(light: TrialLight, model: ModelName, fits: Sequence[ChannelFit], noise: float) -> Outcome:
+    cell, (stated, drawn) = light.cell, _noise(light, noise)
+    truth = (cell.sigma_sp, cell.sigma_a)
+    relative = np.array([[getattr(fit, f"{key}_per_mm") for key in KEYS] for fit in fits]) / truth - 1
+    model_error = np.array([[fit.model_error.get(key, np.nan) for key in KEYS] for fit in fits])
+    plain = np.array([not fit.flags and fit.status == "converged" for fit in fits])
+    inside = np.array([_holds(fit, cell) for fit in fits])
+    return Outcome(
+        cell=cell.name,
+        model=model,
+        trials=len(fits),
+        light_noise=light.noise,
+        median_error=_pair(np.median(np.abs(relative), axis=0)),
+        bias=_pair(np.median(relative, axis=0)),
+        model_error=_pair(np.median(model_error, axis=0)),
+        bound=cramer_rao(light, stated),
+        sd=_pair(np.std(relative, axis=0, ddof=1)),
+        bound_of_noise=cramer_rao(light, drawn),
+        inside=_counts(inside[plain]),
+        judged=int(plain.sum()),
+        apart_inside=_counts(inside[~plain]),
+        rms=float(np.sqrt(np.mean(np.sum(relative**2, axis=1)))),
+        flags=dict(Counter(flag for fit in fits for flag in fit.flags)),
+        models=dict(Counter(fit.model for fit in fits)),
+    )
+
+
+def _holds(fit: ChannelFit, cell: Cell) -> tuple[bool, bool]:
+    """Whether the intervals hold (σs′, σa)."""
+    (sp_lo, sp_hi), (a_lo, a_hi) = fit.sigma_sp_interval95_per_mm, fit.sigma_a_interval95_per_mm
+    return sp_lo <= cell.sigma_sp <= sp_hi, a_lo <= cell.sigma_a <= a_hi
+
+
+def _pair(values: Floats) -> tuple[float, float]:
+    return float(values[0]), float(values[1])
+
+
+def _counts(inside: NDArray[np.bool_]) -> tuple[int, int]:
+    return int(inside[:, 0].sum()), int(inside[:, 1].sum())
