@@ -95,15 +95,11 @@ def _over_axes(frame: Any, offset: Any, normal: Any, density: Callable[[Any], An
 def rd_between(source: Dipole, offset: Any, normal: Any) -> Any:
     """R_d for light that enters at `offset` from where it leaves, on a surface of any form.
 
-    The paper's rule: the sources stay on the normal at the entry, and no distance counts less than on a plane at r = 0,
-    that of the real source 1/σt′.
+    The paper's rule: the real source stays 1/σt′ straight below the entry, and nearer than that it is never seen. The
+    virtual one keeps its distance on a plane, for over a curved surface it would stray into the open.
     """
     r2, rise = dr.squared_norm(offset), dr.dot(offset, normal)
-
-    def square(height: Any) -> Any:
-        return dr.maximum(r2 + 2 * height * rise, 0) + height * height
-
-    return rd(source, square(-source.z_r), square(source.z_v))
+    return rd(source, dr.maximum(r2 - 2 * source.z_r * rise, 0) + dr.square(source.z_r), r2 + dr.square(source.z_v))
 
 
 def _worth(frame: Any, picked: Dipole, offset: Any, normal: Any) -> Any:
