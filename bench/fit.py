@@ -11,12 +11,14 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from bssrdf.bench.fit_peers import Answer, Problem, jaxopt_soft, scipy_exact, scipy_slsqp, scipy_soft, timed
+from bssrdf.fit.batch import run_padded
 from bssrdf.fit.choose import model_of
 from bssrdf.fit.curves import Curves, bucket_of
 from bssrdf.fit.kernel import Common, Constraint, Judged, Task, fit_batch
@@ -59,6 +61,8 @@ class Score:
     sigma_sp_p90: float
     sigma_a_median: float
     sigma_a_p90: float
+    fails: int
+    """Curves on which the method gave up; its errors are those of the others."""
     from_optimum: float | None = None
     """Largest relative distance of ln σt′ from SciPy's optimum of the same problem."""
 
@@ -98,13 +102,14 @@ def table(scores: list[Score]) -> str:
     """The scores as Markdown; speeds also as ratios to SciPy one by one."""
     base = next(score.fits_per_second for score in scores if score.method == "scipy least_squares exact")
     lines = [
-        "| method | fits/s | × SciPy | σs′ error median / p90 | σa error median / p90 | from SciPy's optimum |",
-        "|---|---:|---:|---:|---:|---:|",
+        "| method | fits/s | × SciPy | σs′ error median / p90 | σa error median / p90 | fails | from SciPy's optimum |",
+        "|---|---:|---:|---:|---:|---:|---:|",
     ]
     lines += [
         f"| {s.method} | {s.fits_per_second:.0f} | {s.fits_per_second / base:.1f} "
         f"| {100 * s.sigma_sp_median:.2f} / {100 * s.sigma_sp_p90:.1f} % "
         f"| {100 * s.sigma_a_median:.2f} / {100 * s.sigma_a_p90:.1f} % "
+        f"| {s.fails or ''} "
         f"| {'' if s.from_optimum is None else f'{s.from_optimum:.1e}'} |"
         for s in scores
     ]
@@ -152,25 +157,25 @@ def _ours(name: str, constraint: Constraint, problem: Problem) -> Answer:
     model = WholeDipole(jnp.asarray(ETA)) if name == "dipole" else model_of("mc", ETA, 0.0)
     batch, n = problem.rd.shape
     extra = ((0, 0), (0, bucket_of(n) - n))
-    padded = [np.pad(each, extra, mode="edge") for each in (problem.r_mm, problem.rd)]
-    data = Curves(
-        r_lo=jnp.asarray(padded[0]),
-        r_hi=jnp.asarray(padded[0]),
-        rd=jnp.asarray(padded[1]),
-        weight=jnp.asarray(np.pad(1 / problem.sd, extra)),
-        total_r=jnp.asarray(problem.total_r),
-        total_r_sd=jnp.asarray(problem.total_r_sd),
-        window=jnp.asarray(np.tile([0.0, np.inf], (batch, 1))),
-        cos_view=jnp.ones(batch),
-        spot_radius=jnp.zeros(batch),
-        n=jnp.full(batch, n),
-    )
-    common = Common(data.total_r_sd, jnp.zeros(batch), jnp.zeros(batch))
+    r_mm, rd = (np.pad(each, extra, mode="edge") for each in (problem.r_mm, problem.rd))
+    columns: dict[str, Any] = {
+        "r_lo": r_mm,
+        "r_hi": r_mm,
+        "rd": rd,
+        "weight": np.pad(1 / problem.sd, extra),
+        "total_r": problem.total_r,
+        "total_r_sd": problem.total_r_sd,
+        "window": np.tile([0.0, np.inf], (batch, 1)),
+        "cos_view": np.ones(batch),
+        "spot_radius": np.zeros(batch),
+    }
+    data = Curves(**columns)
+    common = Common(data.total_r_sd, *np.zeros((2, batch)))
     judged: list[Judged] = []
 
-    def run() -> jax.Array:
-        judged[:] = [fit_batch(task, model, data, common)]
-        return jax.block_until_ready(judged[0].sigma_sp)
+    def run() -> np.ndarray:
+        judged[:] = [run_padded(lambda batch: fit_batch(task, model, *batch), (data, common))]
+        return np.asarray(judged[0].sigma_sp)
 
     _, seconds = timed(run)
     return Answer(np.asarray(judged[0].sigma_a), np.asarray(judged[0].sigma_sp), seconds / batch)
@@ -187,10 +192,11 @@ def _score(name: str, answer: Answer, sigma_a: np.ndarray, sigma_sp: np.ndarray,
     return Score(
         name,
         1 / answer.seconds_each,
-        float(np.median(error_sp)),
-        float(np.quantile(error_sp, 0.9)),
-        float(np.median(error_a)),
-        float(np.quantile(error_a, 0.9)),
+        float(np.nanmedian(error_sp)),
+        float(np.nanquantile(error_sp, 0.9)),
+        float(np.nanmedian(error_a)),
+        float(np.nanquantile(error_a, 0.9)),
+        answer.fails,
         distance,
     )
 

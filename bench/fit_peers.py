@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 import warnings
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -36,6 +36,16 @@ class Answer(NamedTuple):
     sigma_a: np.ndarray
     sigma_sp: np.ndarray
     seconds_each: float
+    fails: int = 0
+    """Curves on which the method itself gave up, or that it left with numbers that are none."""
+
+
+class Found(NamedTuple):
+    """One curve's coefficients, and whether the method says that it got there."""
+
+    sigma_a: float
+    sigma_sp: float
+    success: bool
 
 
 def dipole_numpy(sigma_a: float, sigma_sp: float, a: float, r: np.ndarray) -> np.ndarray:
@@ -59,14 +69,15 @@ def total_numpy(sigma_a: float, sigma_sp: float, a: float) -> float:
 def scipy_exact(problem: Problem, ratio: np.ndarray) -> Answer:
     """`least_squares` in ln σt′ alone; `ratio` is σa/σt′ as R gives it."""
 
-    def fit(row: int, a: float) -> tuple[float, float]:
+    def fit(row: int, a: float) -> Found:
         def rest(x: np.ndarray) -> np.ndarray:
             sigma_tp = np.exp(x[0])
             model = dipole_numpy(ratio[row] * sigma_tp, (1 - ratio[row]) * sigma_tp, a, problem.r_mm[row])
             return (problem.rd[row] - model) / problem.sd[row]
 
-        sigma_tp = float(np.exp(least_squares(rest, [_start(problem, row)], xtol=1e-10, ftol=1e-12).x[0]))
-        return ratio[row] * sigma_tp, (1 - ratio[row]) * sigma_tp
+        found = least_squares(rest, [_start(problem, row)], xtol=1e-10, ftol=1e-12)
+        sigma_tp = float(np.exp(found.x[0]))
+        return Found(ratio[row] * sigma_tp, (1 - ratio[row]) * sigma_tp, found.success)
 
     return _one_by_one(problem, fit)
 
@@ -74,7 +85,7 @@ def scipy_exact(problem: Problem, ratio: np.ndarray) -> Answer:
 def scipy_soft(problem: Problem) -> Answer:
     """`least_squares` in (ln σa, ln σs′), with R as one datum more."""
 
-    def fit(row: int, a: float) -> tuple[float, float]:
+    def fit(row: int, a: float) -> Found:
         def rest(x: np.ndarray) -> np.ndarray:
             sigma_a, sigma_sp = np.exp(x)
             curve = (problem.rd[row] - dipole_numpy(sigma_a, sigma_sp, a, problem.r_mm[row])) / problem.sd[row]
@@ -83,8 +94,8 @@ def scipy_soft(problem: Problem) -> Answer:
             )
 
         start = _start(problem, row)
-        x = least_squares(rest, [start - 3, start], x_scale="jac", xtol=1e-10, ftol=1e-12).x
-        return float(np.exp(x[0])), float(np.exp(x[1]))
+        found = least_squares(rest, [start - 3, start], x_scale="jac", xtol=1e-10, ftol=1e-12)
+        return Found(float(np.exp(found.x[0])), float(np.exp(found.x[1])), found.success)
 
     return _one_by_one(problem, fit)
 
@@ -92,7 +103,7 @@ def scipy_soft(problem: Problem) -> Answer:
 def scipy_slsqp(problem: Problem) -> Answer:
     """`minimize` by SLSQP with the constraint as the paper writes it: ∫R_d dA = R."""
 
-    def fit(row: int, a: float) -> tuple[float, float]:
+    def fit(row: int, a: float) -> Found:
         def cost(x: np.ndarray) -> float:
             sigma_a, sigma_sp = np.exp(x)
             model = dipole_numpy(sigma_a, sigma_sp, a, problem.r_mm[row])
@@ -104,8 +115,9 @@ def scipy_slsqp(problem: Problem) -> Answer:
             return total_numpy(np.exp(x[0]), np.exp(x[1]), a) - float(problem.total_r[row])
 
         constraint = {"type": "eq", "fun": excess}
-        x = minimize(cost, [start - 3, start], method="SLSQP", constraints=[constraint], options={"maxiter": 200}).x
-        return float(np.exp(x[0])), float(np.exp(x[1]))
+        begin, limit = [start - 3, start], {"maxiter": 200}
+        found = minimize(cost, begin, method="SLSQP", constraints=[constraint], options=limit)
+        return Found(float(np.exp(found.x[0])), float(np.exp(found.x[1])), found.success)
 
     return _one_by_one(problem, fit)
 
@@ -136,7 +148,7 @@ def jaxopt_soft(problem: Problem) -> Answer:
     return Answer(absorbed * sigma_tp, (1 - absorbed) * sigma_tp, seconds / len(problem.rd))
 
 
-def timed(call: Callable[[], jax.Array], repeats: int = 3) -> tuple[np.ndarray, float]:
+def timed(call: Callable[[], Any], repeats: int = 3) -> tuple[np.ndarray, float]:
     """Result and shortest time of a warm call."""
     result = call()
     best = np.inf
@@ -147,12 +159,15 @@ def timed(call: Callable[[], jax.Array], repeats: int = 3) -> tuple[np.ndarray, 
     return np.asarray(result), best
 
 
-def _one_by_one(problem: Problem, fit: Callable[[int, float], tuple[float, float]]) -> Answer:
+def _one_by_one(problem: Problem, fit: Callable[[int, float], Found]) -> Answer:
     a = float(boundary_a(problem.eta))
     began = time.perf_counter()
     with np.errstate(all="ignore"):  # some of them wander off; their errors show it
-        found = np.array([fit(row, a) for row in range(len(problem.rd))])
-    return Answer(found[:, 0], found[:, 1], (time.perf_counter() - began) / len(problem.rd))
+        found = [fit(row, a) for row in range(len(problem.rd))]
+    seconds = (time.perf_counter() - began) / len(problem.rd)
+    sigma_a, sigma_sp, success = (np.array(column) for column in zip(*found, strict=True))
+    good = success & np.isfinite(sigma_a) & np.isfinite(sigma_sp)
+    return Answer(np.where(good, sigma_a, np.nan), np.where(good, sigma_sp, np.nan), seconds, int((~good).sum()))
 
 
 def _start(problem: Problem, row: int) -> float:

@@ -122,16 +122,16 @@ def summary(outcomes: Sequence[Outcome]) -> list[str]:
     for each in outcomes:
         by_model.setdefault(each.model, []).append(each)
     lines = []
-    for model, each in by_model.items():
-        judged, apart = sum(o.judged for o in each), sum(o.trials - o.judged for o in each)
+    for model, group in by_model.items():
+        judged, apart = sum(o.judged for o in group), sum(o.trials - o.judged for o in group)
         for at, name in enumerate(("σs′", "σa")):
-            inside, outside = sum(o.inside[at] for o in each), sum(o.apart_inside[at] for o in each)
-            ratio = np.sqrt(np.mean([(o.sd[at] / o.bound_of_noise[at]) ** 2 for o in each if o.judged]))
-            worst = max(each, key=lambda o, at=at: o.median_error[at])  # type: ignore[misc]
+            inside, outside = sum(o.inside[at] for o in group), sum(o.apart_inside[at] for o in group)
+            ratio = np.sqrt(np.mean([(o.sd[at] / o.bound_of_noise[at]) ** 2 for o in group if o.judged]))
+            worst = max((o.median_error[at], o.cell) for o in group)
             lines.append(
                 f"{model}, {name}: intervals hold {inside} of {judged} judged ({100 * inside / max(judged, 1):.1f} %), "
                 f"{outside} of {apart} flagged or one-sided; sd {ratio:.2f} × the bound; "
-                f"largest median error {100 * worst.median_error[at]:.2f} % ({worst.cell})"
+                f"largest median error {100 * worst[0]:.2f} % ({worst[1]})"
             )
     for at, name in enumerate(("σs′", "σa")):
         covered = [abs(o.bias[at]) <= o.model_error[at] for o in by_model.get("dipole", [])]

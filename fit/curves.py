@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float
 
 from bssrdf.session.records import ChannelSlice, Slice
 from bssrdf.transport.convention import camera_factor
@@ -37,7 +37,6 @@ class Curves(NamedTuple):
     """Of the camera's angle to the normal."""
     spot_radius: Float[Array, " b"]
     """1/e² radius of the spot [mm]; 0 where it is not known."""
-    n: Int[Array, " b"]
 
 
 class Convention(NamedTuple):
@@ -84,7 +83,6 @@ def _row(
     factor = convention_of(piece).factor
     r_lo, r_hi = _edges(channel)
     order = np.argsort(channel.r_mm, kind="stable")  # the two sides of a slice follow one another
-    n = len(channel.r_mm)
     weight = np.where(channel.sd_per_mm2 > 0, factor / np.where(channel.sd_per_mm2 > 0, channel.sd_per_mm2, 1), np.nan)
     return {
         "r_lo": _pad(r_lo[order], width, float(r_hi.max())),
@@ -96,7 +94,6 @@ def _row(
         "window": np.asarray(_window(piece, window_mm)),
         "cos_view": np.asarray(np.cos(np.radians(piece.view_angle_deg))),
         "spot_radius": np.asarray(piece.spot_radius_mm or 0.0),
-        "n": np.asarray(n),
     }
 
 
