@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import importlib.util
 import os
 import re
 import subprocess
@@ -56,15 +57,15 @@ def use_variant(colour: Literal["rgb", "mono"] = "rgb") -> str:
 
     Raises InputError, one line, where Mitsuba or everything that could compile its kernels is missing.
     """
-    try:
-        import mitsuba
-    except ImportError as error:
-        raise InputError(MISSING) from error
+    if importlib.util.find_spec("mitsuba") is None:
+        raise InputError(MISSING)
     backend = find_backend()
     if backend is None:
         raise InputError(ADVICE)
     if backend.library is not None:
-        os.environ[VARIABLE] = str(backend.library)
+        os.environ[VARIABLE] = str(backend.library)  # Dr.Jit reads it once, when it is imported
+    import mitsuba
+
     name = f"{backend.name}_ad_{colour}"
     if mitsuba.variant() != name:
         mitsuba.set_variant(name)
@@ -81,11 +82,9 @@ def find_backend() -> Backend | None:
 
 
 def _candidates() -> list[Path]:
-    named = os.environ.get(VARIABLE)
-    if named:
-        return [Path(named)]
+    named = [Path(os.environ[VARIABLE])] if os.environ.get(VARIABLE) else []
     found = {path.resolve() for place in _PLACES for path in Path("/").glob(place[1:])}
-    return sorted((path for path in found if _version(path) >= OLDEST_LLVM), key=_version, reverse=True)
+    return named + sorted((path for path in found if _version(path) >= OLDEST_LLVM), key=_version, reverse=True)
 
 
 def _version(library: Path) -> float:
