@@ -88,16 +88,17 @@ def ccdproc(scene: Scene) -> Timed:
 
 
 def hdrutils(scene: Scene) -> Timed:
-    """On a Bayer mosaic, which is what it merges: a third of the samples that the others get."""
+    """On a Bayer mosaic, which is what it merges: a third of the samples, their dark signal taken off beforehand."""
     import HDRutils
 
     height, width, _ = scene.radiance.shape
     camera = Sensor(height, width, "RGGB", bits=16, black_dn=int(SENSOR.black_dn), gain_e_per_dn=SENSOR.gain_e_per_dn)
     folder = TemporaryDirectory()
     files = []
-    for number, (frame, t) in enumerate(zip(scene.frames, EXPOSURES_S, strict=True)):
+    for number, (frame, dark, t) in enumerate(zip(scene.frames, scene.darks, EXPOSURES_S, strict=True)):
+        above = np.where(frame >= SENSOR.saturation_dn, WHITE_DN, frame + SENSOR.black_dn - dark)
         files.append(str(Path(folder.name) / f"{number}.dng"))
-        Path(files[-1]).write_bytes(dng_bytes(_bayer(frame), camera, t))
+        Path(files[-1]).write_bytes(dng_bytes(_bayer(np.clip(above, 0, WHITE_DN).astype(np.uint16)), camera, t))
     saturation = SENSOR.saturation_dn / WHITE_DN
     times = list(EXPOSURES_S)
 
