@@ -50,7 +50,8 @@ class Diffusion:
     ) -> None:
         source, side = vertex.optics.dipole(), vertex.side
         frame = mi.Frame3f(mi.Normal3f(vertex.si.n * side))
-        self._body = Body(vertex.si, frame, side, source, channel_shares(vertex.throughput * source.total()))
+        shares = channel_shares(vertex.throughput * source.total())
+        self._body = Body(vertex.si, frame, side, source, shares, media.widest(vertex.optics, active))
         found = find_entry(scene, sampler, self._body, law, max_hits, active)
         self._asked = active
         self.active = found.found

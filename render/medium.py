@@ -13,7 +13,14 @@ from numpy.typing import NDArray
 
 from bssrdf.render.interface import TABLE_SIZE, transmittance_table
 from bssrdf.render.sampling import Dipole, dipole
-from bssrdf.render.surface import INVERSION_SIZE, Surface, coefficients, extinction, inversion_table
+from bssrdf.render.surface import (
+    INVERSION_SIZE,
+    Surface,
+    coefficients,
+    extinction,
+    inversion_table,
+    widest_coefficients,
+)
 from bssrdf.transport.fresnel import boundary_a, exit_norm
 from bssrdf.transport.precision import scoped_x64
 
@@ -81,6 +88,8 @@ class Media:
         numbers = [_numbers(s, norm) for s, norm in zip(self.surfaces, norms, strict=True)]
         self._numbers = mi.Float(np.concatenate(numbers).astype(np.float32))
         self._stride = len(numbers[0])
+        widest = [widest_coefficients(s).ravel() for s in self.surfaces]
+        self._widest = mi.Float(np.concatenate(widest).astype(np.float32))
 
     def shortest_mean_free_path(self) -> float:
         """The least 1/σt over all surfaces and channels; 0 where a texture may hold anything."""
@@ -110,6 +119,14 @@ class Media:
                 sigma_a, sigma_sp = dr.select(here, looked_up[0], sigma_a), dr.select(here, looked_up[1], sigma_sp)
         eta, g, alpha, boundary, norm = numbers[:n]
         return Optics(sigma_a, sigma_sp, eta, g, alpha, boundary, norm, row)
+
+    def widest(self, optics: Optics, active: Any) -> Dipole | None:
+        """The dipole of the places of a surface where light spreads farthest; None if it is the same everywhere."""
+        if not self.textured:
+            return None
+        n = dr.size_v(mi.Spectrum)
+        values = [dr.gather(mi.Float, self._widest, optics.row * 2 * n + i, active) for i in range(2 * n)]
+        return dipole(mi.Spectrum(values[:n]), mi.Spectrum(values[n:]), optics.boundary_a)
 
     def optics_at(self, si: Any, optics: Optics, active: Any) -> Optics:
         """The medium at another point of the same surface."""

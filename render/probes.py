@@ -35,10 +35,17 @@ class Body:
     source: Dipole
     channel_shares: Any
     """Chance of each channel to choose the radius; they add up to 1."""
+    widest: Dipole | None = None
+    """Draws half of the radii where the coefficients vary: light may come from where they spread it farther."""
+
+    def sources(self) -> list[Dipole]:
+        """The dipoles that draw radii, each as often."""
+        return [self.source] if self.widest is None else [self.source, self.widest]
 
     def reach(self) -> Any:
         """How far away an entry may be found."""
-        return dr.max(reach(self.source))
+        farthest = [dr.max(reach(source)) for source in self.sources()]
+        return farthest[0] if len(farthest) == 1 else dr.maximum(*farthest)
 
 
 @dataclass
@@ -77,7 +84,8 @@ def entry_density(body: Body, offset: Any, normal: Any, law: Law) -> Any:
     """Density over the surface at `offset` from the lit point of all probes' hits together."""
 
     def density(r2: Any) -> Any:
-        return dr.sum(body.channel_shares * radius_density(body.source, mi.Spectrum(r2), law))
+        each = [radius_density(source, mi.Spectrum(r2), law) for source in body.sources()]
+        return dr.sum(body.channel_shares * sum(each)) / len(each)
 
     return _over_axes(body.frame, offset, normal, density)
 
@@ -155,16 +163,23 @@ def _probe(sampler: Any, body: Body, law: Law, active: Any) -> tuple[Any, Dipole
     axis = dr.select(along_n, frame.n, dr.select(along_s, frame.s, frame.t))
     first = dr.select(along_n, frame.s, dr.select(along_s, frame.t, frame.n))
     second = dr.select(along_n, frame.t, dr.select(along_s, frame.n, frame.s))
-    source, shares = body.source, body.channel_shares
-    picked = Dipole(
-        pick_channel(source.albedo_p, shares, u_channel),
-        pick_channel(source.sigma_tr, shares, u_channel),
-        pick_channel(source.z_r, shares, u_channel),
-        pick_channel(source.z_v, shares, u_channel),
-    )
+    picked = _pick(body.source, body.channel_shares, u_channel)
+    if body.widest is not None:
+        wide = _pick(body.widest, body.channel_shares, u_channel)
+        picked = dr.select(sampler.next_1d(active) < 0.5, wide, picked)
     radius = sample_radius(picked, u_disk.x, law)
     sin_phi, cos_phi = dr.sincos(2 * math.pi * u_disk.y)
     farthest = body.reach()
     half = dr.sqrt(dr.maximum(farthest * farthest - radius * radius, 0))
     origin = body.si.p + radius * (first * cos_phi + second * sin_phi) + half * axis
     return mi.Ray3f(origin, -axis, 2 * half, body.si.time, body.si.wavelengths), picked
+
+
+def _pick(source: Dipole, shares: Any, u: Any) -> Dipole:
+    """The dipole of one channel, chosen by `u`."""
+    return Dipole(
+        pick_channel(source.albedo_p, shares, u),
+        pick_channel(source.sigma_tr, shares, u),
+        pick_channel(source.z_r, shares, u),
+        pick_channel(source.z_v, shares, u),
+    )

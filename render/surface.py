@@ -26,6 +26,10 @@ PAIRS = (("sigma_a", "sigma_sp"), ("reflectance", "mean_free_path"))
 NUMBERS = {"scale": 1.0, "g": 0.0, "alpha": 0.0, "bump_scale": 1.0}
 
 INVERSION_SIZE = 1024
+_LOOKS = 256
+"""Places looked up in a texture along each side."""
+_LEAST = 1e-2
+"""Of the largest scattering coefficient of a texture: the least that steers the sampling."""
 
 Floats = NDArray[np.float64]
 
@@ -157,6 +161,25 @@ def mean_coefficients(surface: Surface) -> Floats:
         for name, value in surface.pair.items()
     }
     return coefficients(replace(surface, pair=means))
+
+
+def widest_coefficients(surface: Surface) -> Floats:
+    """Coefficients, shape (2, channels), under which light spreads at least as far as anywhere on the surface."""
+    return coefficients(replace(surface, pair={name: _widest(name, value) for name, value in surface.pair.items()}))
+
+
+def _widest(name: str, value: Any) -> Floats:
+    """The least of a sigma, the largest of a reflectance or a mean free path, over the texture."""
+    if not _is_texture(value):
+        return value
+    u, v = np.meshgrid(*[(np.arange(_LOOKS, dtype=np.float32) + 0.5) / _LOOKS] * 2)
+    si = dr.zeros(mi.SurfaceInteraction3f, u.size)
+    si.uv = mi.Point2f(u.ravel(), v.ravel())
+    seen = np.array(mi.Spectrum(value.eval(si)), np.float64)
+    if not name.startswith("sigma"):
+        return seen.max(axis=1)
+    least = seen.max(axis=1) * _LEAST if name == "sigma_sp" else np.zeros(len(seen))
+    return np.maximum(seen.min(axis=1), least)
 
 
 @functools.cache
