@@ -157,7 +157,9 @@ def verify(session: Path) -> None:
 @click.argument("session", type=FOLDER)
 @click.option("--hdr-only", is_flag=True, help="Only merge the brackets; session.toml needs [camera] alone.")
 @click.option("--radial", is_flag=True, help="Average over the whole image instead of a band along the slice.")
-@click.option("--band-mm", type=float, help="Width of the band along the slice.")
+@click.option(
+    "--band-mm", type=click.FloatRange(min=0, min_open=True), help="Width of the band along the slice; else 10 pixels."
+)
 @click.option("--glare", is_flag=True, help="Take an even floor for veiling glare, and subtract it.")
 @click.option(
     "--hdr-rel-sd",

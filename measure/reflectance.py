@@ -242,13 +242,15 @@ def slice_profiles(image: Image, channel: str, spot: Spot, band_mm: float | None
     footprint = _footprint(image, spot)
     band = band_mm or _BAND_PX * footprint[0]
     step = footprint[0] * mosaic_period(image.layout)
-    sides = {}
+    sides: dict[int, Profile] = {}
     for side in (-1, 1):
         here = (side * points.across > 0) & (np.abs(points.along) <= band / 2)
         if not here.any():
             continue
         half = Points(*(field[here] for field in points))
         sides[side] = profile(half, bin_edges(step, float(np.abs(half.across).max())), footprint, band)
+    if not sides:
+        raise InputError(f"{image.name}: no pixel of channel {channel} lies in a band of {band:g} mm; widen --band-mm")
     return sides
 
 

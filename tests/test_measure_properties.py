@@ -124,6 +124,12 @@ def test_a_sample_brighter_than_white_is_an_error(tmp_path, capsys):
     assert "is beyond what a sample can reflect" in capsys.readouterr().err
 
 
+def test_a_band_without_pixels_is_an_error(tmp_path, capsys):
+    write_session(tmp_path / "s")
+    assert run(cli, ["measure", str(tmp_path / "s"), "--quiet", "--band-mm", "1e-9"]) == BAD_INPUT
+    assert "widen --band-mm" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize("seed", range(8))
 def test_a_broken_frame_is_refused_with_one_line_or_measured(tmp_path, capsys, seed):
     rng = np.random.default_rng(seed)
