@@ -49,10 +49,11 @@ def _register_integrators(variant: str) -> None:
         def __init__(self, properties: Any) -> None:
             super().__init__(properties)
             self._settings = read_settings(properties, local=properties.plugin_name() == "bssrdf_brdf")
-            self._tracer: Tracer | None = None
+            self._checked = 0
 
         def sample(self, scene: Any, sampler: Any, ray: Any, medium: Any = None, active: Any = True) -> Any:
-            tracer = self._of(scene)
+            tracer = Tracer(scene, self._settings)
+            self._warn_once(scene, tracer)
             path, _ = dr.while_loop(
                 (tracer.start(ray, active), sampler),
                 lambda path, _: path.active,
@@ -64,12 +65,12 @@ def _register_integrators(variant: str) -> None:
         def to_string(self) -> str:
             return f"BssrdfIntegrator[{self._settings}]"
 
-        def _of(self, scene: Any) -> Tracer:
-            if self._tracer is None or self._tracer.scene is not scene:
-                self._tracer = Tracer(scene, self._settings)
-                for line in openings(self._tracer.media.shapes):
-                    warnings.warn(line, stacklevel=2)
-            return self._tracer
+        def _warn_once(self, scene: Any, tracer: Tracer) -> None:
+            if self._checked == id(scene):
+                return
+            self._checked = id(scene)
+            for line in openings(tracer.media.shapes):
+                warnings.warn(line, stacklevel=2)
 
     for name in ("bssrdf", "bssrdf_brdf"):
         mi.register_integrator(name, BssrdfIntegrator)

@@ -179,6 +179,36 @@ def test_evenly_lit_slab_is_the_closed_form_of_its_terms(material: PublishedMate
     np.testing.assert_allclose(value, expected, rtol=0.01)
 
 
+def sky_emitters() -> dict[str, dict[str, Any]]:
+    """Radiance 1 from everywhere above, by emitters of several kinds."""
+    dome = {"type": "sphere", "radius": 400.0, "flip_normals": True, "emitter": {"type": "area", "radiance": 1.0}}
+    image = {"type": "envmap", "bitmap": mi.Bitmap(np.ones((8, 16, 3), np.float32))}
+    return {"constant": SKY, "image": image, "dome": dome}
+
+
+@pytest.mark.parametrize("kind", ["constant", "image", "dome"])
+def test_light_of_any_kind_enters_alike(kind: str) -> None:
+    n = 1 << 16
+    value, error = radiance(scene_of(MARBLE, light=sky_emitters()[kind]), towards_origin(n), n)
+    marble = PublishedMaterial("", (MARBLE["sigma_sp"],) * 3, (MARBLE["sigma_a"],) * 3, (0.0,) * 3, MARBLE["eta"])
+    assert abs(value[0] - even_light(marble, 0, VIEW)) < 4 * error[0] + 0.003
+
+
+@pytest.mark.parametrize("kind", ["point", "directional"])
+def test_light_from_one_direction_enters_as_the_lobes_say(kind: str) -> None:
+    """Irradiance cos θ along the way of the view: R Ft²/(π C) cos θ of it comes back by diffusion."""
+    away = [-math.sqrt(1 - VIEW * VIEW), 0, VIEW]
+    lights = {
+        "directional": {"type": "directional", "direction": [-x for x in away], "irradiance": 1.0},
+        "point": {"type": "point", "position": [400 * x for x in away], "intensity": 400.0**2},
+    }
+    n = 1 << 16
+    value, error = radiance(scene_of(MARBLE, light=lights[kind]), towards_origin(n), n, terms="diffusion")
+    total = float(scoped_x64(dipole.total_r)(dipole.Medium(**MARBLE)))
+    lobe = float(fresnel_t(MARBLE["eta"], VIEW)) ** 2 / (math.pi * float(exit_norm(MARBLE["eta"])))
+    assert value[0] == pytest.approx(total * lobe * VIEW, abs=4 * error[0], rel=2e-3)
+
+
 @pytest.mark.parametrize("alpha", [0.0, 0.3])
 def test_furnace_of_a_medium_that_absorbs_nothing_gives_back_all_light(alpha: float) -> None:
     white = {"sigma_a": 0.0, "sigma_sp": 2.0, "eta": 1.4, "alpha": alpha}
