@@ -48,9 +48,14 @@ def face(material: RenderMaterial, *, mesh: TriangleMesh | None = None, **look: 
     return Scene("face", {"face": _body(mesh, material, bump=bump, **look)}, lights, camera)
 
 
-@functools.cache
 def _figure(height_mm: float) -> TriangleMesh:
-    return head_mesh(height_mm)
+    mesh = _figure_of_one()
+    return mesh._replace(vertices=height_mm * mesh.vertices)
+
+
+@functools.cache
+def _figure_of_one() -> TriangleMesh:
+    return head_mesh(1.0)
 
 
 def _stand(mesh: TriangleMesh) -> tuple[float, Any]:
