@@ -23,7 +23,7 @@ _PORES_SEED = 11
 
 
 def bust(material: RenderMaterial, *, mesh: TriangleMesh | None = None, **look: Any) -> Scene:
-    """The figure on a dark table, lit from behind by a panel as tall as it is."""
+    """The figure on a dark table, lit by a panel behind it and to one side."""
     mesh = mesh or _figure(BUST_MM)
     h, at = _stand(mesh)
     lights = {
