@@ -93,7 +93,8 @@ def render(out: Path | None, force: bool, materials: tuple[str, ...], scenes: tu
     """Noise and bias of BRDF, BSSRDF and full Monte Carlo on slabs, balls and a bust of six materials."""
     from dataclasses import replace
 
-    from bssrdf.bench.render import QUICK, Effort, run_render_bench, table
+    from bssrdf.bench.render import QUICK, Effort, run_render_bench
+    from bssrdf.bench.render_results import table
     from bssrdf.report.progress import steps
 
     effort = QUICK if quick else Effort()
