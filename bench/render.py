@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from bssrdf.bench.render_cases import MATERIALS, METHODS, REFERENCE, Case, cases
 from bssrdf.bench.render_results import KNOWN, CaseResult, Row, write_results
 from bssrdf.bench.render_truth import cut_share, sky_radiance
+from bssrdf.errors import UsageError
 from bssrdf.render.compare import EPSILON
 from bssrdf.render.material import RenderMaterial, find_medium
 from bssrdf.render.picture import Stage, load_stage, render_pass
@@ -58,6 +59,10 @@ def run_render_bench(
 ) -> list[CaseResult]:
     """Measure every case; write render.json, render.md and render.png into `out` where it is given."""
     todo = list(cases(effort.pixels, materials=effort.materials, only=effort.scenes))
+    unknown = set(effort.scenes or ()) - {case.scene_name for case in todo}
+    if unknown:
+        names = dict.fromkeys(case.scene_name for case in cases(effort.pixels, materials=MATERIALS[:1]))
+        raise UsageError(f'there is no scene "{min(unknown)}" in the bench; use {"; ".join(names)}')
     results = []
     for number, case in enumerate(todo):
         if progress is not None:

@@ -14,7 +14,7 @@ from bssrdf.bench.render_cases import MATERIALS, cases
 from bssrdf.bench.render_truth import cut_share, sky_radiance
 from bssrdf.cli import cli
 from bssrdf.console import run
-from bssrdf.errors import BssrdfError
+from bssrdf.errors import BssrdfError, UsageError
 from bssrdf.render.material import find_medium
 from bssrdf.render.variant import use_variant
 from bssrdf.transport.brdf import brdf_diffuse, brdf_single
@@ -73,6 +73,11 @@ def test_every_scene_is_made_of_every_material() -> None:
     scenes = {scene for scene, _ in names}
     assert len(names) == len(scenes) * len(MATERIALS)
     assert {"slab, sky", "slab, edge", "slab, beam", "thin slab", "bust", "ball 1", "ball 30"} <= scenes
+
+
+def test_a_scene_that_is_not_in_the_bench_is_one_line() -> None:
+    with pytest.raises(UsageError, match='no scene "bal 3" in the bench; use slab, sky; slab, edge;'):
+        run_render_bench(None, effort=Effort(scenes=("bal 3",)))
 
 
 @pytest.mark.usefixtures("_renderer")
