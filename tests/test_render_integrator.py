@@ -468,7 +468,7 @@ def test_volpath_around_a_beam_is_our_monte_carlo(order: Any, depth: int) -> Non
     sigma_a, sigma_s, spot = 0.3, 1.0, 1.0
     scene = mi.load_dict({"type": "scene", "slab": slab_for_volpath(sigma_a, sigma_s, 0.0, 1.0), "beam": beam(spot)})
     fine = np.concatenate([[0], np.geomspace(0.02, 8, 40)])
-    tally = simulate(MonteCarloMedium(sigma_a, sigma_s), r_edges_mm=fine, n_photons=1_000_000, seed=2)
+    tally = simulate(MonteCarloMedium(sigma_a, sigma_s), r_edges_mm=fine, n_photons=400_000, seed=2)
     profile, _ = tally.rd(order)
     n = 1 << 16
     for low, high in ((0.0, 1.0), (1.0, 2.0), (2.0, 4.0)):
@@ -477,7 +477,7 @@ def test_volpath_around_a_beam_is_our_monte_carlo(order: Any, depth: int) -> Non
         distance = across_spot(low, high, spot)
         bins = np.searchsorted(fine, distance, side="right") - 1
         expected = np.append(profile, 0)[bins].mean()
-        assert math.pi * value[0] == pytest.approx(expected, rel=0.015, abs=4 * math.pi * error[0])
+        assert math.pi * value[0] == pytest.approx(expected, rel=0.02, abs=4 * math.pi * error[0])
 
 
 # What cannot be rendered, or only so-so
