@@ -55,6 +55,19 @@ class Image:
         """The pixels of each channel that is used."""
         return {channel: pixels_of(self.hdr, self.layout, channel) for channel in self.channels}
 
+    @cached_property
+    def aliasing(self) -> float:
+        """How far a sum over one of four pixels of a mosaic is off, relative: by half the difference of its two greens.
+
+        A spot that is narrow against the distance of the filters of one colour falls between them or on them.
+        """
+        greens = [divmod(place, 2) for place, letter in enumerate(self.layout) if letter == "G"]
+        if len(self.layout) != 4 or len(greens) != 2:
+            return 0.0
+        usable = np.where(self.hdr.mask == 0, self.hdr.radiance, 0)
+        first, second = (float(usable[row::2, column::2].sum(dtype=float)) for row, column in greens)
+        return abs(first - second) / max(abs(first + second), 1e-300)
+
     def is_saturated(self, channel: str) -> bool:
         """Whether some pixel of the channel is saturated in every exposure, hot ones left out."""
         return bool(self.pixels[channel].saturated.any())
@@ -171,6 +184,8 @@ def total_light(
         value[~pixels.good] = curve.curve()(np.hypot(across, along)[~pixels.good])
     inside = float(value @ area)
     variance = float(np.where(pixels.good, pixels.variance, 0.0) @ area**2)
+    if pixels.px_per_sample == 4:
+        variance += (image.aliasing * inside) ** 2
     by_count = np.bincount(pixels.count, value * area).astype(float)
 
     outline = image.outline(spot)

@@ -221,3 +221,14 @@ def test_bad_frames_give_one_line_and_leave_nothing_behind(tmp_path, spoil, mess
         measure_session(session)
     assert "\n" not in str(error.value)
     assert not (session.path / "measured").exists()
+
+
+def test_a_spot_narrower_than_the_mosaic_widens_the_error_of_red_and_blue(tmp_path):
+    def narrow(r_mm):
+        return 5.0 * np.exp(-((r_mm / 0.06) ** 2)) + 0.05 * np.exp(-(r_mm**2))
+
+    curve = measure_session(write_session(tmp_path / "narrow", sample=narrow, sd=None)).slice
+    error = {channel: abs(total / curve.total_r["G"] - 1) for channel, total in curve.total_r.items()}
+    for channel in "RB":
+        assert curve.total_r_sd[channel] > 3 * curve.total_r_sd["G"]
+        assert 0 < error[channel] < 4 * curve.total_r_sd[channel] / curve.total_r[channel]
