@@ -10,6 +10,7 @@ from bssrdf.fit.batch import Fitted, run_padded
 from bssrdf.fit.choose import ASSUMED_G, model_of, tabulated
 from bssrdf.fit.compare import Refit, bias_batch, refit_batch
 from bssrdf.fit.curves import Curves
+from bssrdf.fit.kernel import Solution
 from bssrdf.transport.forward import ForwardModel
 from bssrdf.transport.table_grid import R_ZERO, U_MAX, V_MAX, u_of
 
@@ -17,6 +18,8 @@ G_STEP = 0.05
 ETA_STEP = 0.01
 NOISE_DRAWS = 4
 NOISE_SEED = 1
+LEAST_RATIO = 0.2
+"""Of a fitted coefficient to the true one, in undoing a bias."""
 
 Errors = list[dict[str, float]]
 
@@ -63,13 +66,40 @@ def chi2_by_g(fitted: Fitted, gs: tuple[float, ...]) -> np.ndarray:
 
 
 def _dipole_errors(fitted: Fitted) -> Errors:
-    """The dipole fitted to the table's light of the medium that it found; {} where no table ships for the medium."""
+    """What the dipole makes of the table's light of the medium; {} where no table ships for it.
+
+    The medium is at first the one that was found, then that one less its bias. How far the bias moves between the two
+    is how unsure it is, and is added.
+    """
     if not tabulated(fitted.group.eta, fitted.group.g):
         return [{} for _ in fitted.jobs]
+    first = _bias_at(fitted, fitted.judged.solution)
+    again = _bias_at(fitted, _less(fitted, first))
+    sure = np.isfinite(again)
+    error = np.where(sure, np.abs(again) + np.abs(again - first), np.abs(first))
+    return [{"sigma_a": float(a), "sigma_sp": float(sp)} for a, sp in error]
+
+
+def _bias_at(fitted: Fitted, solution: Solution) -> np.ndarray:
+    """Relative bias of (σa, σs′) of the dipole on the table's light of the solutions, shape (jobs, 2)."""
     truth = model_of("mc", fitted.group.eta, fitted.group.g)
-    batch = (fitted.data, fitted.judged.solution)
+    batch = (fitted.data, solution)
     bias: Refit = run_padded(lambda each: bias_batch(fitted.group.task, fitted.model, truth, *each), batch)
-    return [{"sigma_a": float(a), "sigma_sp": float(sp)} for a, sp in np.abs(_shift(fitted, bias))]
+    absorbed = np.square(np.clip(solution.point.q, 0, truth.q_max)) / 3
+    sigma_tp = np.exp(solution.point.log_sigma_tp)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        columns = [bias.sigma_a / (absorbed * sigma_tp) - 1, bias.sigma_sp / ((1 - absorbed) * sigma_tp) - 1]
+    return np.where(np.isfinite(columns), columns, np.nan).T
+
+
+def _less(fitted: Fitted, bias: np.ndarray) -> Solution:
+    """The solutions of the media whose fits, of that bias, came out as they did."""
+    found = np.stack([fitted.judged.sigma_a, fitted.judged.sigma_sp], axis=1)
+    sigma_a, sigma_sp = (found / np.maximum(1 + np.nan_to_num(bias), LEAST_RATIO)).T
+    solution: Solution = fitted.judged.solution
+    sigma_tp = sigma_a + sigma_sp
+    point = solution.point._replace(log_sigma_tp=np.log(sigma_tp), q=np.sqrt(3 * sigma_a / sigma_tp))
+    return solution._replace(point=point)
 
 
 def _refit(fitted: Fitted, model: ForwardModel, data: Curves | None = None) -> Refit:
