@@ -12,7 +12,7 @@ from bssrdf.transport.forward import ForwardModel
 
 LOG_EXTENT = np.linspace(np.log(0.3), np.log(1000.0), 24)
 """ln of (largest radius in mean free paths), tried for each curve."""
-Q_GRID = np.geomspace(0.02, 1.5, 7)
+Q_GRID = np.geomspace(0.03, 1.6, 16)
 SAMPLES = 24
 """Radii that a start rests on."""
 
