@@ -91,6 +91,8 @@ def measure_slice(
         channels[channel] = channel_slice(profiles, back.floor, per_light)
         lost[channel] = back.lost_fraction
         common = _common_errors(back, incident, timing, exposures)
+        if sample.pixels[channel].px_per_sample == 4:
+            common.append(sample.aliasing - reference.aliasing)
         if session.beam.kind == "laser":
             common.append(speckle_rel_sd(radius.value, channel, session))
         scale_rel_sd.append(float(np.linalg.norm(common)))

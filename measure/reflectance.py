@@ -66,7 +66,7 @@ class Image:
             return 0.0
         usable = np.where(self.hdr.mask == 0, self.hdr.radiance, 0)
         first, second = (float(usable[row::2, column::2].sum(dtype=float)) for row, column in greens)
-        return abs(first - second) / max(abs(first + second), 1e-300)
+        return (first - second) / max(first + second, 1e-300)
 
     def is_saturated(self, channel: str) -> bool:
         """Whether some pixel of the channel is saturated in every exposure, hot ones left out."""
@@ -184,8 +184,6 @@ def total_light(
         value[~pixels.good] = curve.curve()(np.hypot(across, along)[~pixels.good])
     inside = float(value @ area)
     variance = float(np.where(pixels.good, pixels.variance, 0.0) @ area**2)
-    if pixels.px_per_sample == 4:
-        variance += (image.aliasing * inside) ** 2
     by_count = np.bincount(pixels.count, value * area).astype(float)
 
     outline = image.outline(spot)
