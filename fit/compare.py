@@ -10,7 +10,6 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from bssrdf.fit.curves import Curves
-from bssrdf.fit.kept import kept
 from bssrdf.fit.kernel import Solution, Task, coefficients, optimise, residual
 from bssrdf.fit.predict import Parameters, curve, q_of_total, total
 from bssrdf.transport.forward import ForwardModel
@@ -25,14 +24,12 @@ class Refit(NamedTuple):
     """Sum, not reduced."""
 
 
-@kept
 @partial(jax.jit, static_argnums=0)
 def refit_batch(task: Task, model: ForwardModel, data: Curves, solution: Solution) -> Refit:
     """Fit every curve again by `model`, with the window and the weights of its `solution`."""
     return jax.vmap(partial(_refit, task, model))(data, solution)
 
 
-@kept
 @partial(jax.jit, static_argnums=0)
 def bias_batch(task: Task, fitted: ForwardModel, truth: ForwardModel, data: Curves, solution: Solution) -> Refit:
     """What fitting by `fitted` would give if `truth` had made the light of the coefficients that `solution` found."""

@@ -15,7 +15,6 @@ from jaxtyping import Array, Bool, Float
 
 from bssrdf.fit import gauss_newton
 from bssrdf.fit.curves import Curves
-from bssrdf.fit.kept import kept
 from bssrdf.fit.kernel import Solution, Task, coefficients, residual
 from bssrdf.fit.predict import Parameters, Scalar
 from bssrdf.transport.forward import ForwardModel
@@ -81,7 +80,6 @@ def profile(task: Task, model: ForwardModel, data: Curves, solution: Solution, i
     )
 
 
-@kept
 @partial(jax.jit, static_argnums=0)
 def profile_batch(task: Task, model: ForwardModel, data: Curves, solution: Solution, inflation: Scalar) -> Profile:
     """`profile` of every curve of a batch."""

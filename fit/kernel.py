@@ -11,7 +11,6 @@ from jaxtyping import Array, Bool, Float, Int
 
 from bssrdf.fit import gauss_newton
 from bssrdf.fit.curves import Curves
-from bssrdf.fit.kept import kept
 from bssrdf.fit.predict import (
     Parameters,
     Scalar,
@@ -96,7 +95,6 @@ class Judged(NamedTuple):
     """(R measured − R fitted)/sd where R is a datum, else 0."""
 
 
-@kept
 @partial(jax.jit, static_argnums=0)
 def fit_batch(task: Task, model: ForwardModel, data: Curves, common: Common) -> Judged:
     """Fit and judge every curve of a batch; `common` holds one value a curve."""
