@@ -42,6 +42,9 @@ MM_PER_PX = {
     "Wholemilk": 0.15,
 }
 """Scale at which each material is filmed: the frame holds a few of its 1/σtr."""
+_SPOT_MM = 0.2
+_SPOT_PX = 2.5
+"""A narrower spot falls between the pixels of one colour."""
 _SPEED = 50.0
 _SEED = 2001
 _LIMIT_S = 600.0
@@ -111,6 +114,7 @@ def _film(out: Path, name: str, say: Callable[[str], None]) -> Path:
         published_sample(name),
         white_tile(),
         mm_per_px=MM_PER_PX[name],
+        spot_radius_mm=max(_SPOT_MM, _SPOT_PX * MM_PER_PX[name]),
         scale_error=SCALE_REL_SD * errors[0],
         tile_error=TILE_SD * errors[1],
     )

@@ -16,6 +16,7 @@ from bssrdf.measure.profile import Profile
 from bssrdf.measure.reflectance import (
     Image,
     Total,
+    beam_on_sample,
     beam_on_tile,
     channel_slice,
     glare_is_evident,
@@ -73,6 +74,7 @@ def measure_slice(
     angles = geometry.view_angle_deg, session.beam.incidence_deg
     around = Surroundings(max(material.eta, 1.0), max(material.g or 0.0, 0.0), *angles)
     around_tile = Surroundings(_TILE_ETA, 0.0, *angles)
+    beam = beam_on_sample(sample, *spots)
     flags = _image_flags(session, sample, reference, spots)
     given_mm = session.beam.spot_radius_mm
     radius = Estimate(given_mm, 0.0) if given_mm else beam_on_tile(reference, spots[1], geometry.view_angle_deg)
@@ -86,8 +88,8 @@ def measure_slice(
             continue
         incident = total_light(reference, channel, spots[1], around_tile, glare=options.glare)
         per_light = reflectance_of(tile, channel, session, sample) / incident.light
-        back = total_light(sample, channel, spots[0], around, glare=options.glare, per_light=per_light)
-        profiles = {0: back.profile} if options.radial else slice_profiles(sample, channel, spots[0], options.band_mm)
+        back = total_light(sample, channel, beam, around, glare=options.glare, per_light=per_light)
+        profiles = {0: back.profile} if options.radial else slice_profiles(sample, channel, beam, options.band_mm)
         channels[channel] = channel_slice(profiles, back.floor, per_light)
         lost[channel] = back.lost_fraction
         common = _common_errors(back, incident, timing, exposures)
@@ -103,7 +105,7 @@ def measure_slice(
         raised = {
             "light_lost": max(back.lost_fraction, incident.lost_fraction) > _MUCH_LOST,
             "slice_radial_disagree": differ and not options.radial,
-            "glare": not options.glare and glare_is_evident(sample, spots[0], around, back, per_light),
+            "glare": not options.glare and glare_is_evident(sample, beam, around, back, per_light),
         }
         flags += [flag for flag, is_raised in raised.items() if is_raised]
     if not channels:
