@@ -157,16 +157,25 @@ def reweighted(task: Task, model: ForwardModel, data: Curves, known: Float[Array
     inside = counts(model, last.point.log_sigma_tp, data.r_lo, data.r_hi, known, data.window)
     point = last.point
     centre = jnp.maximum((data.r_lo + data.r_hi) / 2, jnp.finfo(known.dtype).eps)
-    seen, total_seen = last.seen, last.total_seen
+    total_seen = last.total_seen
     if task.camera:
         medium = medium_of(model, point)
         law = DipoleModel(model.eta).total_radiance_factor(medium, data.cos_view)
-        seen = model.radiance_factor(medium, centre, data.cos_view, perpendicular=task.perpendicular) / law
         total_seen = model.total_radiance_factor(medium, data.cos_view) / law
         if task.constraint == "exact":
             point = point._replace(q=q_of_total(model, data.total_r / total_seen))
+
+    def exit_factor(r: Float[Array, " n"], cos_azimuth: Float[Array, " n"]) -> Float[Array, " n"]:
+        if not task.camera:
+            return jnp.ones_like(r)
+        across = cos_azimuth if task.perpendicular else None
+        law = DipoleModel(model.eta).total_radiance_factor(medium_of(model, point), data.cos_view)
+        return model.radiance_factor(medium_of(model, point), r, data.cos_view, cos_azimuth=across) / law
+
     if task.blurred:
-        seen = seen * blur(model, point, centre, data.spot_radius)
+        seen = blur(model, point, centre, data.spot_radius, exit_factor)
+    else:
+        seen = exit_factor(centre, jnp.zeros_like(centre))
     expected = curve(model, point, data.r_lo, data.r_hi, task.binned) * seen
     weight = inside * _weight(task, model, known, expected)
     if task.robust:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -25,21 +27,34 @@ def matters(spot_radius_mm: float, r_mm: np.ndarray, relative_sd: float) -> bool
     return bool(spot_radius_mm > 0 and 9 / 8 * (spot_radius_mm / innermost) ** 2 > MATTERS * relative_sd)
 
 
-def blur(model: ForwardModel, point: Parameters, r: Float[Array, " n"], spot_radius: Scalar) -> Float[Array, " n"]:
-    """R_d seen through the spot over R_d of an infinitely narrow beam, at r.
+Radii = Float[Array, " n"]
 
-    Mean of R_d(|r − ρ|) over the spot's irradiance 2/(πw²) e^(−2ρ²/w²): Gauss–Laguerre in 2ρ²/w², midpoints in angle.
+
+def blur(
+    model: ForwardModel,
+    point: Parameters,
+    r: Radii,
+    spot_radius: Scalar,
+    exit_factor: Callable[[Radii, Radii], Radii],
+) -> Radii:
+    """What is seen through the spot at r, over R_d of an infinitely narrow beam.
+
+    Mean of R_d(d) exit_factor(d, cos azimuth), d = |r − ρ|, over the spot's irradiance 2/(πw²) e^(−2ρ²/w²):
+    Gauss–Laguerre in 2ρ²/w², midpoints in angle.
     """
     bare = curve(model, point, r, r, False)
 
     def add(sum_so_far: Float[Array, " n"], node: tuple[Scalar, ...]) -> tuple[Float[Array, " n"], None]:
-        rho_over_w, cos_angle, weight = node
+        rho_over_w, cos_angle, sin_angle, weight = node
         rho = rho_over_w * spot_radius
         distance = jnp.sqrt(jnp.maximum(r * r + rho * rho - 2 * r * rho * cos_angle, 1e-6 * spot_radius**2))
-        return sum_so_far + weight * curve(model, point, distance, distance, False), None
+        light = curve(model, point, distance, distance, False) * exit_factor(distance, rho * sin_angle / distance)
+        return sum_so_far + weight * light, None
 
     rho, angle = np.meshgrid(np.sqrt(_T / 2), _ANGLES, indexing="ij")
     weights = np.repeat(_T_WEIGHTS / len(_ANGLES), len(_ANGLES))
-    nodes = tuple(jnp.asarray(each, r.dtype) for each in (rho.ravel(), np.cos(angle).ravel(), weights))
+    nodes = tuple(
+        jnp.asarray(each, r.dtype) for each in (rho.ravel(), np.cos(angle).ravel(), np.sin(angle).ravel(), weights)
+    )
     blurred, _ = jax.lax.scan(add, jnp.zeros_like(r), nodes)
-    return jnp.where(spot_radius > 0, blurred / bare, 1)
+    return jnp.where(spot_radius > 0, blurred / bare, exit_factor(r, jnp.zeros_like(r)))

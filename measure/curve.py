@@ -74,7 +74,7 @@ def measure_slice(
     angles = geometry.view_angle_deg, session.beam.incidence_deg
     around = Surroundings(max(material.eta, 1.0), max(material.g or 0.0, 0.0), *angles)
     around_tile = Surroundings(_TILE_ETA, 0.0, *angles)
-    beam = beam_on_sample(sample, *spots)
+    beam = beam_on_sample(*spots, tile.coplanar)
     flags = _image_flags(session, sample, reference, spots)
     given_mm = session.beam.spot_radius_mm
     radius = Estimate(given_mm, 0.0) if given_mm else beam_on_tile(reference, spots[1], geometry.view_angle_deg)

@@ -34,8 +34,6 @@ _BEYOND_REL_SD = 0.02
 _SPOT_SD_PX = 3.0
 _SPOT_REACH_PX = 60
 _RING_POINTS = 200
-_SAME_PLACE = 2.0
-"""Spot radii between the beam on the sample and on the tile, from which on the picture must have moved."""
 _SECOND_PEAK = 0.05
 _SECOND_CONTRAST = 1.5
 
@@ -105,16 +103,13 @@ def locate(image: Image) -> Spot:
     return find_spot(x, y, value, (float(column), float(row)), _SPOT_SD_PX)
 
 
-def beam_on_sample(sample: Image, own: Spot, on_tile: Spot) -> Spot:
-    """Where the beam lands on the sample: where it does on the tile, unless the picture moved.
+def beam_on_sample(own: Spot, on_tile: Spot, coplanar: bool) -> Spot:
+    """Where the beam lands on the sample: at the spot seen there, or where it does on a tile in the same plane.
 
     Light runs outwards in the sample, so that a camera at an angle sees its spot drawn towards the camera: a slice
-    through that centre would be too bright by the shift over the radius. A tile hardly scatters sideways.
+    through that centre is too bright, by some percent near the beam. A tile hardly scatters sideways.
     """
-    shift = np.hypot(*sample.surface.centred(np.array([own.x_px]), np.array([own.y_px]), (on_tile.x_px, on_tile.y_px)))
-    if shift[0] > _SAME_PLACE * spot_radius_mm(sample, own):
-        return own
-    return own._replace(x_px=on_tile.x_px, y_px=on_tile.y_px)
+    return own._replace(x_px=on_tile.x_px, y_px=on_tile.y_px) if coplanar else own
 
 
 def _smooth_brightness(image: Image) -> NDArray[np.float32]:

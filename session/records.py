@@ -105,6 +105,8 @@ class Reference:
     name: str
     reflectance: tuple[float, ...]
     reflectance_sd: tuple[float, ...] | None = None
+    coplanar: bool = False
+    """Whether it lay in the sample's plane, so that the beam lands on both at the same place of the picture."""
 
 
 @dataclass(frozen=True)

@@ -97,6 +97,7 @@ TABLES: dict[str, tuple[type, dict[str, Check]]] = {
             "name": text,
             "reflectance": list_of(number(above=0, at_most=1.2)),
             "reflectance_sd": list_of(_NOT_NEGATIVE),
+            "coplanar": boolean,
         },
     ),
     "distortion": (Distortion, {"camera_matrix": matrix3, "coefficients": list_of(number())}),

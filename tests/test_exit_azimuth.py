@@ -74,7 +74,7 @@ def of_the_table(perpendicular: bool) -> np.ndarray:
         for lo, hi in pairwise(R_EDGES):
             r = np.linspace(lo, hi, 17)[1::2, None]
             flux = np.asarray(model.rd(medium, r)) * r
-            factor = np.asarray(model.radiance_factor(medium, r, mu, perpendicular=perpendicular))
+            factor = np.asarray(model.radiance_factor(medium, r, mu, cos_azimuth=0.0 if perpendicular else None))
             factors.append((flux * factor).mean() / flux.mean())
     return np.array(factors)
 

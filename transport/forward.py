@@ -58,10 +58,11 @@ class ForwardModel(Protocol):
         """Total diffuse reflectance."""
         ...
 
-    def radiance_factor(self, medium: Medium, r: Real, mu: Real, *, perpendicular: bool) -> Float[Array, "..."]:
+    def radiance_factor(self, medium: Medium, r: Real, mu: Real, *, cos_azimuth: Real | None) -> Float[Array, "..."]:
         """π L/R_d at radius r towards the outside cosine `mu`: 1 for a Lambertian surface.
 
-        `perpendicular`: the plane of view stands at a right angle to the radius; else the mean over all azimuths.
+        `cos_azimuth`: of the angle about the normal between radius and camera, near 0: a slice across the view. None is
+        the mean over all azimuths.
         """
         ...
 
@@ -100,7 +101,7 @@ class DipoleModel(NamedTuple):
     def total(self, medium: Medium) -> Float[Array, "..."]:
         return dipole.total_r(medium)
 
-    def radiance_factor(self, medium: Medium, r: Real, mu: Real, *, perpendicular: bool) -> Float[Array, "..."]:
+    def radiance_factor(self, medium: Medium, r: Real, mu: Real, *, cos_azimuth: Real | None) -> Float[Array, "..."]:
         """Ft/C at every radius and azimuth: the paper's exit law, normalised."""
         return jnp.broadcast_to(self.total_radiance_factor(medium, mu), jnp.shape(r))
 

@@ -94,11 +94,12 @@ class TableModel(NamedTuple):
         self.check(medium, 0.0)
         return medium.albedo_p * jnp.exp(-_cubic(self.log_total, _u(medium)))
 
-    def radiance_factor(self, medium: Medium, r: Real, mu: Real, *, perpendicular: bool) -> Float[Array, "..."]:
+    def radiance_factor(self, medium: Medium, r: Real, mu: Real, *, cos_azimuth: Real | None) -> Float[Array, "..."]:
         """π L/R_d at radius r > 0 towards the outside cosine `mu`: 1 for a Lambertian surface.
 
-        `perpendicular`: seen at a right angle to the radius, else the mean over all azimuths. Light scattered once
-        runs along the radius and shows in the mean only.
+        `cos_azimuth`: of the angle about the normal between radius and camera, near 0; None is the mean over all
+        azimuths. The odd harmonics are left out, which the two sides of a spot cancel, and the even ones go as the
+        second does. Light scattered once runs along the radius and shows in the mean only.
         """
         self.check(medium, r)
         rows = _rows(self.angles, _u(medium), N_U_COARSE)
@@ -106,12 +107,12 @@ class TableModel(NamedTuple):
         shape = [_cubic(rows[..., k, :, :], v) for k in range(rows.shape[-3])]
         lobe = _exit_lobe(self.eta, mu, shape[: DEGREE + 1])
         multiple = self._multiple(medium, r)
-        if perpendicular:
-            square_of_sine = (1 - jnp.square(mu)) / jnp.square(self.eta)
-            lobe += square_of_sine * _exit_lobe(self.eta, mu, shape[DEGREE + 1 :])
-            seen = multiple * lobe
-        else:
+        if cos_azimuth is None:
             seen = multiple * lobe + self._first_radiance(medium, r, mu)
+        else:
+            square_of_sine = (1 - jnp.square(mu)) / jnp.square(self.eta)
+            across = square_of_sine * _exit_lobe(self.eta, mu, shape[DEGREE + 1 :])
+            seen = multiple * (lobe + (1 - 2 * jnp.square(cos_azimuth)) * across)
         return seen / (self._first(medium, r) + multiple)
 
     def total_radiance_factor(self, medium: Medium, mu: Real) -> Float[Array, "..."]:

@@ -118,6 +118,7 @@ class SimulatedBench:
                 "name": scene.tile.name,
                 "reflectance": [factor * (1 + scene.tile_error) for factor in scene.radiance_factors(scene.tile)],
                 "reflectance_sd": (TILE_SD,) * len(scene.tile.media),
+                "coplanar": True,
             },
             "simulated": {"world": str(self._socket), "speed": self.speed},
         }
