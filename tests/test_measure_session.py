@@ -134,12 +134,11 @@ def test_stated_errors_are_those_of_repeated_sessions(tmp_path):
     assert np.std(np.concatenate(curve)) == pytest.approx(1, abs=0.2)
 
 
-def test_a_dim_reference_widens_the_error_of_the_curves_scale(tmp_path):
-    def dim(r_mm):
-        return 1e-5 * tile(r_mm)
-
+def test_a_dim_beam_widens_the_error_of_the_curves_scale(tmp_path):
+    bright = 0.3 * (WHITE - BLACK) * GAIN / EXPOSURES_S[0]
     curves = [
-        measure_session(write_session(tmp_path / each.__name__, reference=each, sd=None)).slice for each in (tile, dim)
+        measure_session(write_session(tmp_path / f"{share:g}", e_per_s=share * bright, sd=None)).slice
+        for share in (1, 1e-5)
     ]
     assert curves[1].scale_rel_sd > 3 * curves[0].scale_rel_sd
 
