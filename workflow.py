@@ -95,7 +95,7 @@ def validate_fit(path: Path, picture: Path, *, progress: Callable[[str, int, int
     if not checks:
         raise InputError(f"{path}: no channel converged, so there is nothing to simulate; look at its flags")
     with atomic_write(picture) as part:
-        draw_validation(part, fit, piece, checks)
+        draw_validation(part, fit, checks)
     return checks
 
 

@@ -151,7 +151,6 @@ def _ours(name: str, constraint: Constraint, problem: Problem) -> Answer:
         errors_known=True,
         blurred=False,
         camera=False,
-        perpendicular=False,
         robust=False,
     )
     model = WholeDipole(jnp.asarray(ETA)) if name == "dipole" else model_of("mc", ETA, 0.0)
@@ -167,6 +166,7 @@ def _ours(name: str, constraint: Constraint, problem: Problem) -> Answer:
         "total_r_sd": problem.total_r_sd,
         "window": np.tile([0.0, np.inf], (batch, 1)),
         "cos_view": np.ones(batch),
+        "arc": np.zeros_like(r_mm),
         "spot_radius": np.zeros(batch),
     }
     data = Curves(**columns)

@@ -36,7 +36,7 @@ def bias_batch(task: Task, fitted: ForwardModel, truth: ForwardModel, data: Curv
 
     def one(data: Curves, solution: Solution) -> Refit:
         point = solution.point._replace(q=jnp.clip(solution.point.q, 0, truth.q_max))
-        made = curve(truth, point, data.r_lo, data.r_hi, task.binned) * solution.seen
+        made = curve(truth, point, data.r_lo, data.r_hi, task.binned) * solution.seen.ratio(solution.point)
         light = data._replace(rd=made, total_r=total(truth, point.q) * solution.total_seen)
         return _refit(task, fitted, light, solution)
 

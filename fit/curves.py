@@ -35,6 +35,8 @@ class Curves(NamedTuple):
     """Radii that may be used at all [mm]."""
     cos_view: Float[Array, " b"]
     """Of the camera's angle to the normal."""
+    arc: Float[Array, " b n"]
+    """Pixels of the radius lie within ± this of the line across the camera's view [rad]: π/2 is the whole circle."""
     spot_radius: Float[Array, " b"]
     """1/e² radius of the spot [mm]; 0 where it is not known."""
 
@@ -93,13 +95,24 @@ def _row(
         "total_r_sd": np.asarray(piece.total_r_sd.get(name, np.nan) / factor),
         "window": np.asarray(_window(piece, window_mm)),
         "cos_view": np.asarray(np.cos(np.radians(piece.view_angle_deg))),
+        "arc": _pad(_arc(piece, channel.r_mm)[order], width, 0.0),
         "spot_radius": np.asarray(piece.spot_radius_mm or 0.0),
     }
 
 
+def _arc(piece: Slice, r_mm: np.ndarray) -> np.ndarray:
+    if piece.azimuth == "mean":
+        return np.full_like(r_mm, np.pi / 2)
+    return np.arcsin(np.minimum(1, (piece.band_mm or 0.0) / 2 / np.maximum(r_mm, 1e-12)))
+
+
 def _window(piece: Slice, window_mm: tuple[float, float] | None) -> tuple[float, float]:
+    """Outside the spot; and where a camera saw a slice from an angle, outside its band: within it a few pixels hold
+    the line of light scattered once."""
     lo, hi = window_mm or (0.0, np.inf)
-    return max(lo, RADII_FROM_SPOT * (piece.spot_radius_mm or 0.0)), hi
+    tilted = piece.exit == "fresnel" and piece.view_angle_deg > 0 and piece.azimuth == "perpendicular"
+    band = (piece.band_mm or 0.0) if tilted else 0.0
+    return max(lo, RADII_FROM_SPOT * (piece.spot_radius_mm or 0.0), band / 2), hi
 
 
 def _common_unknown(weight: np.ndarray) -> np.ndarray:

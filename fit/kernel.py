@@ -22,7 +22,7 @@ from bssrdf.fit.predict import (
     total_slope,
 )
 from bssrdf.fit.scan import spread, start
-from bssrdf.fit.spot import blur
+from bssrdf.fit.seen import Seen, as_it_is, seen_at
 from bssrdf.fit.window import counts
 from bssrdf.transport.forward import DipoleModel, ForwardModel
 
@@ -48,8 +48,6 @@ class Task(NamedTuple):
     """Whether the spot is wide enough to matter."""
     camera: bool
     """Whether a camera at an angle saw the light, so that the model's own exit law counts."""
-    perpendicular: bool
-    """Whether it saw each radius at a right angle, else the mean over all azimuths."""
     robust: bool
     """Huber's loss in place of squares."""
 
@@ -71,8 +69,7 @@ class Solution(NamedTuple):
     point: Parameters
     counts: Float[Array, " n"]
     weight: Float[Array, " n"]
-    seen: Float[Array, " n"]
-    """What spot and exit angle make of the curve: seen over narrow beam and Fresnel's exit law."""
+    seen: Seen
     total_seen: Scalar
     """The same of the total, which the spot does not change."""
     converged: Bool[Array, ""]
@@ -112,7 +109,7 @@ def solve(task: Task, model: ForwardModel, data: Curves) -> Solution:
     """
     known = jnp.where(jnp.isnan(data.weight), 1.0, data.weight)
     few = spread((known != 0) & (data.r_lo >= data.window[0]) & (data.r_hi <= data.window[1]))
-    sparse = data._replace(r_lo=data.r_lo[few], r_hi=data.r_hi[few], rd=data.rd[few])
+    sparse = data._replace(r_lo=data.r_lo[few], r_hi=data.r_hi[few], rd=data.rd[few], arc=data.arc[few])
     q_of_r = None if task.constraint == "none" else q_of_total(model, data.total_r)
     point = start(model, (sparse.r_lo + sparse.r_hi) / 2, sparse.rd, q_of_r, task.scale_free)
     plain = task._replace(blurred=False, camera=False, robust=False)
@@ -131,7 +128,7 @@ def _relaid(task: Task, model: ForwardModel, data: Curves, known: Float[Array, "
         steps = jnp.where(number < last, GLANCE, gauss_newton.MAX_STEPS)
         return optimise(task, model, data, reweighted(task, model, data, known, found), steps)
 
-    first = Solution(point, known, known, jnp.ones_like(known), jnp.ones_like(data.total_r), jnp.asarray(True))
+    first = Solution(point, known, known, as_it_is(known, point), jnp.ones_like(data.total_r), jnp.asarray(True))
     return jax.lax.fori_loop(0, last + 1, refit, first)
 
 
@@ -156,7 +153,6 @@ def reweighted(task: Task, model: ForwardModel, data: Curves, known: Float[Array
     """Window, spot and weights as the last point has them."""
     inside = counts(model, last.point.log_sigma_tp, data.r_lo, data.r_hi, known, data.window)
     point = last.point
-    centre = jnp.maximum((data.r_lo + data.r_hi) / 2, jnp.finfo(known.dtype).eps)
     total_seen = last.total_seen
     if task.camera:
         medium = medium_of(model, point)
@@ -165,18 +161,10 @@ def reweighted(task: Task, model: ForwardModel, data: Curves, known: Float[Array
         if task.constraint == "exact":
             point = point._replace(q=q_of_total(model, data.total_r / total_seen))
 
-    def exit_factor(r: Float[Array, " n"], cos_azimuth: Float[Array, " n"]) -> Float[Array, " n"]:
-        if not task.camera:
-            return jnp.ones_like(r)
-        across = cos_azimuth if task.perpendicular else None
-        law = DipoleModel(model.eta).total_radiance_factor(medium_of(model, point), data.cos_view)
-        return model.radiance_factor(medium_of(model, point), r, data.cos_view, cos_azimuth=across) / law
-
-    if task.blurred:
-        seen = blur(model, point, centre, data.spot_radius, exit_factor)
-    else:
-        seen = exit_factor(centre, jnp.zeros_like(centre))
-    expected = curve(model, point, data.r_lo, data.r_hi, task.binned) * seen
+    seen = last.seen
+    if task.blurred or task.camera:
+        seen = seen_at(model, data, point, blurred=task.blurred, camera=task.camera)
+    expected = curve(model, point, data.r_lo, data.r_hi, task.binned) * seen.ratio(point)
     weight = inside * _weight(task, model, known, expected)
     if task.robust:
         distance = jnp.abs(data.rd - expected) * weight
@@ -206,8 +194,10 @@ def residual(task: Task, model: ForwardModel, data: Curves, at: Solution) -> Res
     Lengths scale out of R_d = σt′² f(q, σt′r): an error of all lengths acts as ln σt′ does, less the 1/mm² of R_d.
     """
     point, used = at.point, at.weight > 0
+    ratio = at.seen.ratio(point)
     narrow = curve_with_slopes(model, point, data.r_lo, data.r_hi, task.binned)
-    expected, by_log_sigma, by_q = (each * at.seen for each in narrow)
+    expected, by_log_sigma, by_q = (each * ratio for each in narrow)
+    by_log_sigma, by_q = by_log_sigma + expected * at.seen.slopes[0], by_q + expected * at.seen.slopes[1]
     by_log_mm = -2 * data.rd - (by_log_sigma - 2 * expected)
     columns = [data.rd - expected, -by_log_sigma, -by_q, -expected, data.rd, by_log_mm]
     value, by_log_sigma, by_q, by_factor, by_log_scale, by_log_mm = (

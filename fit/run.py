@@ -139,7 +139,6 @@ def _task(job: Job, options: FitOptions) -> Task:
         errors_known=known,
         blurred=matters(job.piece.spot_radius_mm or 0.0, channel.r_mm, relative_sd),
         camera=job.piece.exit == "fresnel",
-        perpendicular=job.piece.azimuth == "perpendicular",
         robust=options.robust,
     )
 

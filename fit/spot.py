@@ -39,8 +39,8 @@ def blur(
 ) -> Radii:
     """What is seen through the spot at r, over R_d of an infinitely narrow beam.
 
-    Mean of R_d(d) exit_factor(d, cos azimuth), d = |r − ρ|, over the spot's irradiance 2/(πw²) e^(−2ρ²/w²):
-    Gauss–Laguerre in 2ρ²/w², midpoints in angle.
+    Mean of R_d(d) exit_factor(d, sin δ), d = r − ρ and δ its angle to r, over the spot's irradiance
+    2/(πw²) e^(−2ρ²/w²): Gauss–Laguerre in 2ρ²/w², midpoints in angle.
     """
     bare = curve(model, point, r, r, False)
 

@@ -24,6 +24,7 @@ from bssrdf.measure.reflectance import (
     locate,
     slice_profiles,
     total_light,
+    usual_band_mm,
 )
 from bssrdf.measure.tail import Estimate, Surroundings
 from bssrdf.session.records import TOTAL_R_MAX, ChannelSlice, Geometry, Material, Reference, Session, Slice
@@ -78,6 +79,7 @@ def measure_slice(
     flags = _image_flags(session, sample, reference, spots)
     given_mm = session.beam.spot_radius_mm
     radius = Estimate(given_mm, 0.0) if given_mm else beam_on_tile(reference, spots[1], geometry.view_angle_deg)
+    band_mm = options.band_mm or usual_band_mm(sample, beam)
     channels: dict[str, ChannelSlice] = {}
     totals: dict[str, float] = {}
     totals_sd: dict[str, float] = {}
@@ -89,7 +91,7 @@ def measure_slice(
         incident = total_light(reference, channel, spots[1], around_tile, glare=options.glare)
         per_light = reflectance_of(tile, channel, session, sample) / incident.light
         back = total_light(sample, channel, beam, around, glare=options.glare, per_light=per_light)
-        profiles = {0: back.profile} if options.radial else slice_profiles(sample, channel, beam, options.band_mm)
+        profiles = {0: back.profile} if options.radial else slice_profiles(sample, channel, beam, band_mm)
         channels[channel] = channel_slice(profiles, back.floor, per_light)
         lost[channel] = back.lost_fraction
         common = _common_errors(back, incident, timing, exposures)
@@ -117,6 +119,7 @@ def measure_slice(
         exit="fresnel",
         view_angle_deg=geometry.view_angle_deg,
         azimuth="mean" if options.radial else "perpendicular",
+        band_mm=None if options.radial else band_mm,
         incidence_deg=session.beam.incidence_deg,
         total_r=totals,
         total_r_sd=totals_sd,

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import pairwise
 
 import cv2
 import numpy as np
@@ -122,17 +121,19 @@ def _smooth_brightness(image: Image) -> NDArray[np.float32]:
 
 
 def has_second_spot(image: Image, spot: Spot) -> bool:
-    """Whether some place is as bright as a twentieth of the spot, and brighter than others nearer to it are."""
+    """Whether some place is as bright as a twentieth of the spot, and brighter than all of a ring nearer to it.
+
+    Light scattered once is a bright line towards the camera, which falls off as everything else does.
+    """
     smooth = _smooth_brightness(image)
     y_px, x_px = np.mgrid[: smooth.shape[0] : 2, : smooth.shape[1] : 2].astype(float)
     distance = np.hypot(*image.surface.centred(x_px.ravel(), y_px.ravel(), (spot.x_px, spot.y_px)))
     bright = smooth[::2, ::2].ravel()
     outwards = bright[np.argsort(distance)]
     rings = np.array_split(outwards, max(1, len(outwards) // _RING_POINTS))
-    peak = float(smooth.max())
-    return any(
-        ring.max() > max(_SECOND_PEAK * peak, _SECOND_CONTRAST * np.median(inner)) for inner, ring in pairwise(rings)
-    )
+    brightest = np.array([ring.max() for ring in rings])
+    nearer = np.minimum.accumulate(brightest)
+    return bool(np.any(brightest > np.maximum(_SECOND_PEAK * float(smooth.max()), _SECOND_CONTRAST * nearer)))
 
 
 def spot_radius_mm(image: Image, spot: Spot) -> float:
@@ -258,21 +259,27 @@ def radial_profile(image: Image, channel: str, spot: Spot) -> Profile:
     return profile(points, edges, footprint, None)
 
 
-def slice_profiles(image: Image, channel: str, spot: Spot, band_mm: float | None) -> dict[int, Profile]:
+def usual_band_mm(image: Image, spot: Spot) -> float:
+    """Full width of the slice along the view where none is given."""
+    return float(_BAND_PX * _footprint(image, spot)[0])
+
+
+def slice_profiles(image: Image, channel: str, spot: Spot, band_mm: float) -> dict[int, Profile]:
     """Radiance along the slice on its two sides (−1, +1), within a band of the full width `band_mm`."""
     points = _points(image, channel, spot)
     footprint = _footprint(image, spot)
-    band = band_mm or _BAND_PX * footprint[0]
     step = footprint[0] * mosaic_period(image.layout)
     sides: dict[int, Profile] = {}
     for side in (-1, 1):
-        here = (side * points.across > 0) & (np.abs(points.along) <= band / 2)
+        here = (side * points.across > 0) & (np.abs(points.along) <= band_mm / 2)
         if not here.any():
             continue
         half = Points(*(field[here] for field in points))
-        sides[side] = profile(half, bin_edges(step, float(np.abs(half.across).max())), footprint, band)
+        sides[side] = profile(half, bin_edges(step, float(np.abs(half.across).max())), footprint, band_mm)
     if not sides:
-        raise InputError(f"{image.name}: no pixel of channel {channel} lies in a band of {band:g} mm; widen --band-mm")
+        raise InputError(
+            f"{image.name}: no pixel of channel {channel} lies in a band of {band_mm:g} mm; widen --band-mm"
+        )
     return sides
 
 

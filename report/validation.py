@@ -1,4 +1,7 @@
-"""The paper's Fig. 6: measured points, the dipole, and a Monte Carlo simulation, all with the fitted coefficients."""
+"""The paper's Fig. 6: measured points, the dipole, and a Monte Carlo simulation, all with the fitted coefficients.
+
+Spot and camera angle are taken off the measured points as the fit allows for them (`fit.seen`).
+"""
 
 from __future__ import annotations
 
@@ -6,11 +9,15 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
-from bssrdf.fit.curves import convention_of
-from bssrdf.session.records import Fit, Slice
+from bssrdf.fit.choose import model_of, tabulated
+from bssrdf.fit.curves import stack
+from bssrdf.fit.predict import Parameters
+from bssrdf.fit.seen import seen_at
+from bssrdf.session.records import ChannelFit, Fit, Slice
 from bssrdf.transport import dipole
 from bssrdf.transport.dipole import Medium
 from bssrdf.transport.engine import MonteCarloMedium, simulate
@@ -27,8 +34,10 @@ class Check:
     """One channel: the simulation of its fitted coefficients, beside the data over the fit's window."""
 
     channel: str
+    measured: tuple[np.ndarray, np.ndarray]
+    """Radii [mm] and R_d [1/mm²] of a narrow beam over all directions of exit, per entering flux."""
     r_mm: np.ndarray
-    """Centres of the annuli."""
+    """Centres of the annuli that are simulated."""
     simulated: np.ndarray
     simulated_se: np.ndarray
     total_r: float
@@ -50,35 +59,48 @@ def validate(fit: Fit, piece: Slice, *, progress: Callable[[str, int, int], None
         tally = simulate(medium, r_edges_mm=edges, n_photons=PHOTONS, seed=SEED)
         value, error = tally.rd()
         centre = (edges[1:] + edges[:-1]) / 2
-        checks.append(
-            Check(
-                name, centre, value, error, *tally.total_r(), _departure(piece, name, channel.window_mm, centre, value)
-            )
-        )
+        measured = _as_modelled(fit, channel, piece, name)
+        departure = _departure(measured, channel.window_mm, centre, value)
+        checks.append(Check(name, measured, centre, value, error, *tally.total_r(), departure))
     return checks
 
 
-def _departure(piece: Slice, name: str, window_mm: tuple[float, float], r_mm: np.ndarray, rd: np.ndarray) -> float:
-    data = piece.channels[name]
-    inside = (data.r_mm >= window_mm[0]) & (data.r_mm <= window_mm[1]) & (data.rd_per_mm2 > 0)
+@scoped_x64
+def _as_modelled(fit: Fit, channel: ChannelFit, piece: Slice, name: str) -> tuple[np.ndarray, np.ndarray]:
+    """Radii and R_d of the measured points, less what spot and camera angle do by the fit's own coefficients."""
+    known = tabulated(fit.eta, fit.g)
+    model = model_of("mc" if known else "dipole", fit.eta, fit.g)
+    one = jax.tree.map(lambda batch: jnp.asarray(batch[0]), stack([(piece, name)]))
+    sigma_tp = channel.sigma_a_per_mm + channel.sigma_sp_per_mm
+    q = jnp.sqrt(3 * channel.sigma_a_per_mm / sigma_tp)
+    point = Parameters(jnp.log(sigma_tp), jnp.minimum(q, model.q_max), jnp.zeros(()))
+    seen = seen_at(model, one, point, blurred=bool(one.spot_radius > 0), camera=piece.exit == "fresnel")
+    n = len(piece.channels[name].r_mm)
+    return np.asarray((one.r_lo + one.r_hi)[:n] / 2), np.asarray((one.rd / seen.ratio(point))[:n])
+
+
+def _departure(
+    measured: tuple[np.ndarray, np.ndarray], window_mm: tuple[float, float], r_mm: np.ndarray, rd: np.ndarray
+) -> float:
+    r, data = measured
+    inside = (r >= window_mm[0]) & (r <= window_mm[1]) & (data > 0)
     positive = rd > 0
-    expected = np.exp(np.interp(np.log(data.r_mm[inside]), np.log(r_mm[positive]), np.log(rd[positive])))
-    return float(np.median(data.rd_per_mm2[inside] / convention_of(piece).factor / expected - 1))
+    expected = np.exp(np.interp(np.log(r[inside]), np.log(r_mm[positive]), np.log(rd[positive])))
+    return float(np.median(data[inside] / expected - 1))
 
 
 @scoped_x64
-def draw_validation(path: Path, fit: Fit, piece: Slice, checks: list[Check]) -> None:
+def draw_validation(path: Path, fit: Fit, checks: list[Check]) -> None:
     """Draw the figure as PNG, one panel a channel."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(5 * len(checks), 4.2), layout="constrained")
     FigureCanvasAgg(figure)
-    factor = convention_of(piece).factor
     for number, check in enumerate(checks):
         axes = figure.add_subplot(1, len(checks), number + 1, yscale="log", xlabel="r, mm", ylabel="R_d, 1/mm²")
-        data, channel = piece.channels[check.channel], fit.channels[check.channel]
-        axes.plot(data.r_mm, data.rd_per_mm2 / factor, ".", ms=3, color="0.5", label="measured")
+        channel = fit.channels[check.channel]
+        axes.plot(*check.measured, ".", ms=3, color="0.5", label="measured")
         medium = Medium(channel.sigma_a_per_mm, channel.sigma_sp_per_mm, fit.eta)
         axes.plot(check.r_mm, np.asarray(dipole.rd(medium, jnp.asarray(check.r_mm))), "k--", lw=1, label="dipole")
         colour = COLOURS.get(check.channel, "tab:orange")

@@ -178,6 +178,9 @@ class Slice:
     view_angle_deg: float = 45.0
     azimuth: Azimuth = "perpendicular"
     """Of the camera about the normal: at a right angle to the radius, or the mean over a whole image."""
+    band_mm: float | None = None
+    """Full width along the view of the band around a perpendicular slice that was averaged: near the beam it holds
+    other azimuths too. None: hardly any."""
     incidence_deg: float = 0.0
     total_r: dict[str, float] = field(default_factory=dict)
     """Total reflectance by channel in the convention of the curve; a channel may be missing."""

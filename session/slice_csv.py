@@ -56,6 +56,7 @@ HEADER: dict[str, Check] = {
     "exit": choice("hemisphere", "lambertian", "fresnel"),
     "view_angle_deg": _ANGLE,
     "azimuth": choice("perpendicular", "mean"),
+    "band_mm": number(above=0),
     "incidence_deg": _ANGLE,
     "spot_radius_mm": number(above=0),
     "spot_radius_sd_mm": _NOT_NEGATIVE,

@@ -11,6 +11,7 @@ from numba import njit
 
 from bssrdf.rig.sim.light import SampleMedium, SeenLight, r_edges_mfp, walked
 from bssrdf.transport.dipole import Medium
+from bssrdf.transport.forward import ACROSS, WHOLE_CIRCLE
 from bssrdf.transport.photon import reflectance_inside
 from bssrdf.transport.table_cache import table_model
 
@@ -74,7 +75,7 @@ def of_the_table(perpendicular: bool) -> np.ndarray:
         for lo, hi in pairwise(R_EDGES):
             r = np.linspace(lo, hi, 17)[1::2, None]
             flux = np.asarray(model.rd(medium, r)) * r
-            factor = np.asarray(model.radiance_factor(medium, r, mu, cos_azimuth=0.0 if perpendicular else None))
+            factor = np.asarray(model.radiance_factor(medium, r, mu, ACROSS if perpendicular else WHOLE_CIRCLE))
             factors.append((flux * factor).mean() / flux.mean())
     return np.array(factors)
 

@@ -14,12 +14,14 @@ from bssrdf.fit.choose import model_of
 from bssrdf.fit.free_g import fit_g
 from bssrdf.fit.predict import Parameters
 from bssrdf.fit.run import FitOptions, fit_slices
+from bssrdf.fit.seen import azimuths
 from bssrdf.fit.setting import setting_flags
 from bssrdf.fit.spot import blur
+from bssrdf.rig.sim.light import SampleMedium, seen_light
 from bssrdf.session.records import ChannelFit, ChannelSlice, Material, Slice
 from bssrdf.transport.convention import camera_factor
 from bssrdf.transport.dipole import Medium
-from bssrdf.transport.forward import DipoleModel
+from bssrdf.transport.forward import ACROSS, DipoleModel
 
 CURVES = {
     "marbleG_g0": (0.0041, 2.62, 1.5, 0.0, 0.799482),
@@ -89,7 +91,7 @@ def test_a_camera_at_an_angle_sees_the_tables_own_exit_law() -> None:
     with jax.enable_x64(True):
         table = model_of("mc", 1.3, 0.8)
         r = jnp.linspace(0.3, 12, 64)
-        seen = np.asarray(table.rd(medium, r) * table.radiance_factor(medium, r, mu, cos_azimuth=0.0))
+        seen = np.asarray(table.rd(medium, r) * table.radiance_factor(medium, r, mu, ACROSS))
         total = float(table.total(medium) * table.total_radiance_factor(medium, mu))
         fresnel = float(DipoleModel(1.3).total_radiance_factor(medium, mu))
     assert total / float(table.total(medium)) < 0.99 * fresnel
@@ -120,6 +122,48 @@ def test_the_spots_blur_is_the_mean_over_the_spot(x64: None) -> None:
         assert float(
             blur(model, point, jnp.asarray([r]), jnp.asarray(0.3), lambda r, _: jnp.ones_like(r))[0]
         ) == pytest.approx(expected, abs=1e-3)
+
+
+@pytest.mark.parametrize(("sigma_a", "sigma_sp"), [(0.97, 0.07), (0.061, 0.18), (0.015, 0.15)])
+def test_the_exit_law_of_a_dark_medium_moves_with_the_coefficients(sigma_a: float, sigma_sp: float) -> None:
+    """Within a mean free path the exit law changes with the radius as fast as the curve does; light of the bench."""
+    light = seen_light(SampleMedium(sigma_a, sigma_sp, 1.3), 45.0, photons=1, seed=1)
+    assert light.harmonics is not None
+    edges, across = light.r_edges_mm, 1 + np.cos(np.arange(1, 13) * np.pi / 2) @ light.harmonics
+    used = (edges[:-1] * (sigma_a + sigma_sp) > 0.7) & (light.beyond[1:] > 1e-4 * light.total)
+    lo, hi = edges[:-1][used], edges[1:][used]
+    rd = (-np.diff(light.beyond) * across)[used] / (np.pi * (hi**2 - lo**2))
+    piece = Slice(
+        channels={"G": ChannelSlice((lo + hi) / 2, rd, 0.01 * rd, lo, hi)},
+        eta=1.3,
+        flux="incident",
+        exit="fresnel",
+        g=0.0,
+        total_r={"G": light.total},
+        total_r_sd={"G": 0.002 * light.total},
+    )
+    fit = fit_slices([piece], FitOptions(model="mc"))[0]["G"]
+    assert fit.sigma_sp_per_mm == pytest.approx(sigma_sp, rel=0.02)
+    assert fit.sigma_a_per_mm == pytest.approx(sigma_a, rel=0.02)
+
+
+def test_azimuths_are_those_of_the_pixels_in_a_band() -> None:
+    """Against pixels drawn along the arc, and light that enters beside the beam."""
+    arc, turn = 0.9, 0.5
+    azimuth = np.pi / 2 + np.linspace(-arc, arc, 100_001) + turn
+    found = azimuths(jnp.asarray([arc]), jnp.asarray([np.sin(turn)]))
+    other = azimuths(jnp.asarray([arc]), jnp.asarray([-np.sin(turn)]))
+    both = np.concatenate([azimuth, azimuth - 2 * turn])
+    assert float(found.cos_2[0] + other.cos_2[0]) / 2 == pytest.approx(np.cos(2 * both).mean(), abs=1e-4)
+    assert float(found.along[0]) == 0
+    whole = azimuths(jnp.asarray([np.pi / 2]), jnp.asarray([0.0]))
+    assert (float(whole.cos_2[0]), float(whole.along[0])) == pytest.approx((0, 1), abs=1e-6)
+    wide, turned = 1.3, np.pi / 2 - 1.0
+    near = np.abs(np.pi / 2 + np.linspace(-wide, wide, 100_001) + turned - np.pi) < 0.01
+    share = near.mean() / (0.02 / np.pi)
+    assert float(azimuths(jnp.asarray([wide]), jnp.asarray([np.sin(turned)])).along[0]) == pytest.approx(
+        share, rel=0.02
+    )
 
 
 def test_the_sample_s_mounting_is_flagged(auto: dict[str, ChannelFit]) -> None:

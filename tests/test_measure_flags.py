@@ -140,6 +140,16 @@ def test_two_spots_are_flagged(tmp_path):
     assert "second_spot" in measure_session(bench.write(tmp_path / "two")).slice.flags
 
 
+def test_the_line_of_light_scattered_once_is_no_second_spot(tmp_path):
+    bench = Bench()
+    y, x = np.mgrid[: SHAPE[0], : SHAPE[1]].astype(float)
+    ahead = y - CENTRE[1]
+    bench.pictures["sample"] = bench.pictures["sample"] + np.where(
+        (ahead > 0) & (abs(x - CENTRE[0]) < 1.5), 0.5 * np.exp(-np.maximum(ahead, 0) / 15), 0
+    )
+    assert "second_spot" not in measure_session(bench.write(tmp_path / "line")).slice.flags
+
+
 def test_a_lamp_that_drifts_between_repeats_widens_the_error_of_the_total(plain, tmp_path):
     class Drifting(Bench):
         def light(self, kind, number, repeat):

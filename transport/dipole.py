@@ -74,7 +74,7 @@ def rd(medium: Medium, r: Real) -> Float[Array, "..."]:
 
     def source(z: Real) -> Float[Array, "..."]:
         d = _distance(r, z)
-        return z * _decay(_square(medium) * d * d) / d**3
+        return z * diffuse_decay(_square(medium) * d * d) / d**3
 
     return medium.albedo_p / (4 * jnp.pi) * (source(medium.z_r) + source(medium.z_v))
 
@@ -164,16 +164,16 @@ def _distance(r: Real, z: Real) -> Float[Array, "..."]:
 
 
 @jax.custom_jvp
-def _decay(x2: Float[Array, "..."]) -> Float[Array, "..."]:
+def diffuse_decay(x2: Float[Array, "..."]) -> Float[Array, "..."]:
     """(1 + x) e^−x as a function of x², in which its derivative is finite at 0."""
     x = safe_sqrt(x2)
     return (1 + x) * jnp.exp(-x)
 
 
-@_decay.defjvp
+@diffuse_decay.defjvp
 def _decay_jvp(primals: tuple[Array], tangents: tuple[Array]) -> tuple[Array, Array]:
     (x2,), (d_x2,) = primals, tangents
-    return _decay(x2), -jnp.exp(-safe_sqrt(x2)) / 2 * d_x2
+    return diffuse_decay(x2), -jnp.exp(-safe_sqrt(x2)) / 2 * d_x2
 
 
 @jax.custom_jvp

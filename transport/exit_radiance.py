@@ -5,7 +5,7 @@ the direction, so its mean over all azimuths is Fresnel's transmittance times a 
 
 Away from the beam light still runs outwards, so that it is not the same at every azimuth about the normal: a camera
 whose plane of view stands at a right angle to the radius sees less than the mean. The difference vanishes at the normal
-as the square of the sine inside, times a polynomial again.
+as the square of the sine inside, times a polynomial again. Light scattered once runs exactly along the radius.
 """
 
 from __future__ import annotations

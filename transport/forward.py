@@ -17,6 +17,20 @@ from bssrdf.transport.fresnel import exit_norm, fresnel_t
 from bssrdf.transport.precision import Real
 
 
+class Azimuths(NamedTuple):
+    """The angles φ about the normal between radius and camera over which light is averaged."""
+
+    cos_2: Real
+    """Mean of cos 2φ."""
+    along: Real
+    """Share of φ = 0 in the average, over its share in that of a whole circle."""
+
+
+WHOLE_CIRCLE = Azimuths(0.0, 1.0)
+ACROSS = Azimuths(-1.0, 0.0)
+"""Radius at a right angle to the camera's plane of view."""
+
+
 @runtime_checkable
 class ForwardModel(Protocol):
     """R_d(r) of a semi-infinite medium; safe under jit, vmap and grad, in the medium and in the radii."""
@@ -58,12 +72,8 @@ class ForwardModel(Protocol):
         """Total diffuse reflectance."""
         ...
 
-    def radiance_factor(self, medium: Medium, r: Real, mu: Real, *, cos_azimuth: Real | None) -> Float[Array, "..."]:
-        """π L/R_d at radius r towards the outside cosine `mu`: 1 for a Lambertian surface.
-
-        `cos_azimuth`: of the angle about the normal between radius and camera, near 0: a slice across the view. None is
-        the mean over all azimuths.
-        """
+    def radiance_factor(self, medium: Medium, r: Real, mu: Real, azimuths: Azimuths) -> Float[Array, "..."]:
+        """π L/R_d at radius r towards the outside cosine `mu`, a mean over `azimuths`: 1 for a Lambertian surface."""
         ...
 
     def total_radiance_factor(self, medium: Medium, mu: Real) -> Float[Array, "..."]:
@@ -101,7 +111,7 @@ class DipoleModel(NamedTuple):
     def total(self, medium: Medium) -> Float[Array, "..."]:
         return dipole.total_r(medium)
 
-    def radiance_factor(self, medium: Medium, r: Real, mu: Real, *, cos_azimuth: Real | None) -> Float[Array, "..."]:
+    def radiance_factor(self, medium: Medium, r: Real, mu: Real, azimuths: Azimuths) -> Float[Array, "..."]:
         """Ft/C at every radius and azimuth: the paper's exit law, normalised."""
         return jnp.broadcast_to(self.total_radiance_factor(medium, mu), jnp.shape(r))
 

@@ -14,8 +14,9 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from bssrdf.errors import InputError
-from bssrdf.transport.dipole import Medium, _decay
+from bssrdf.transport.dipole import Medium, diffuse_decay
 from bssrdf.transport.exit_radiance import DEGREE
+from bssrdf.transport.forward import Azimuths
 from bssrdf.transport.fresnel import fresnel_t
 from bssrdf.transport.precision import Real
 from bssrdf.transport.single import phase_hg
@@ -94,25 +95,20 @@ class TableModel(NamedTuple):
         self.check(medium, 0.0)
         return medium.albedo_p * jnp.exp(-_cubic(self.log_total, _u(medium)))
 
-    def radiance_factor(self, medium: Medium, r: Real, mu: Real, *, cos_azimuth: Real | None) -> Float[Array, "..."]:
-        """π L/R_d at radius r > 0 towards the outside cosine `mu`: 1 for a Lambertian surface.
+    def radiance_factor(self, medium: Medium, r: Real, mu: Real, azimuths: Azimuths) -> Float[Array, "..."]:
+        """π L/R_d at radius r > 0 towards the outside cosine `mu`, a mean over `azimuths`: 1 for a Lambertian surface.
 
-        `cos_azimuth`: of the angle about the normal between radius and camera, near 0; None is the mean over all
-        azimuths. The odd harmonics are left out, which the two sides of a spot cancel, and the even ones go as the
-        second does. Light scattered once runs along the radius and shows in the mean only.
+        The odd harmonics are left out, which the two sides of a spot cancel, and the even ones go as the second does.
         """
         self.check(medium, r)
         rows = _rows(self.angles, _u(medium), N_U_COARSE)
         v = jnp.minimum(jnp.log1p(r * medium.sigma_tp / R_ZERO) / V_MAX, 1)
         shape = [_cubic(rows[..., k, :, :], v) for k in range(rows.shape[-3])]
         lobe = _exit_lobe(self.eta, mu, shape[: DEGREE + 1])
+        square_of_sine = (1 - jnp.square(mu)) / jnp.square(self.eta)
+        across = square_of_sine * _exit_lobe(self.eta, mu, shape[DEGREE + 1 :])
         multiple = self._multiple(medium, r)
-        if cos_azimuth is None:
-            seen = multiple * lobe + self._first_radiance(medium, r, mu)
-        else:
-            square_of_sine = (1 - jnp.square(mu)) / jnp.square(self.eta)
-            across = square_of_sine * _exit_lobe(self.eta, mu, shape[DEGREE + 1 :])
-            seen = multiple * (lobe + (1 - 2 * jnp.square(cos_azimuth)) * across)
+        seen = multiple * (lobe - azimuths.cos_2 * across) + azimuths.along * self._first_radiance(medium, r, mu)
         return seen / (self._first(medium, r) + multiple)
 
     def total_radiance_factor(self, medium: Medium, mu: Real) -> Float[Array, "..."]:
@@ -165,7 +161,7 @@ class TableModel(NamedTuple):
         v = jnp.log1p(x / R_ZERO) / V_MAX
         smooth = _cubic(_rows(self.log_curve, u, N_U_CELLS), jnp.minimum(v, 1))
         beyond = 3 * V_MAX * jnp.maximum(v - 1, 0)  # diffusing light goes on as the cube of the radius
-        return jnp.square(medium.sigma_sp) * jnp.exp(smooth - beyond) * _decay(kappa2 * x * x)
+        return jnp.square(medium.sigma_sp) * jnp.exp(smooth - beyond) * diffuse_decay(kappa2 * x * x)
 
 
 def _u(medium: Medium) -> Float[Array, "..."]:

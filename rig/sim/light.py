@@ -1,4 +1,6 @@
-"""The light that leaves a sample towards the camera: photon transport with absorption in the walk (`peel_off`).
+"""The light that leaves a sample towards the camera: photon transport with absorption in the walk.
+
+How much leaves where is from the engine, where it goes from a walk that is scored towards the camera (`peel_off`).
 
 Not the dipole and not a white table, so that no fit is tested on its own model. Lengths in mm, coefficients in 1/mm.
 """
@@ -29,11 +31,17 @@ _REACH_MFP = (0.005, 2000.0)
 _AZIMUTHS = 36
 """Bins of azimuth over half a turn."""
 _HARMONICS = 12
-_FAINT = 1e-6
-"""Share of the light below which an annulus is too faint to smooth."""
-_BINS_A_KNOT = 4
-"""Bins between the knots of the smooth light; between those of its harmonics, twice that."""
+_FAINT, _FEW = 1e-9, 1e-4
+"""Share of the light below which an annulus is too faint to smooth, and to tell its harmonics, which are held there."""
+_KNOTS = np.exp(np.arange(-5, 8, 0.4))
+"""Of the smooth light [1/σt′]."""
+_HARMONIC_KNOTS = np.exp([*np.arange(-5, 1.4, 0.8), 3.0, 5.0])
+_VANISHES_BEYOND = (np.inf, np.inf, 10.0, 10.0, *(4.0,) * (_HARMONICS - 4))
+"""Radii [1/σt′] from which on a harmonic is below 0.5 % of the light in any medium, and so only noise."""
 _BATCHES = 32
+_OF_CAMERA = 1
+"""Key of the random streams of the walk that is scored towards the camera."""
+_FAR_DECAYS = 20.0
 SHIPPED = "light.npz"
 """File beside this one."""
 
@@ -112,9 +120,42 @@ def r_edges_mfp() -> Array:
 
 
 def walked(unit: SampleMedium, view_angle_deg: float, photons: int, seed: int, n_threads: int | None = None) -> Array:
-    """`SeenLight` of a medium whose σt′ is 1, from the walk itself: rows `beyond`, `line_beyond` and the harmonics."""
-    from bssrdf.rig.sim.peel_off import peel_off
+    """`SeenLight` of a medium whose σt′ is 1, from two walks: rows `beyond`, `line_beyond` and the harmonics.
+
+    What is seen at each radius, over all azimuths, comes from `photons` of the engine; where it goes, from a quarter as
+    many that are scored towards the camera.
+    """
     from bssrdf.transport.exit_radiance import transmittance
+
+    entering = float(transmittance(unit.eta, np.array(1.0)))
+    even = _all_azimuths(unit, view_angle_deg, photons, seed, n_threads)
+    around, line = _towards_camera(unit, view_angle_deg, -(-photons // 4), seed, n_threads)
+    return _smooth_rows(entering * even, around, np.pi * entering * line)
+
+
+def _all_azimuths(unit: SampleMedium, view_angle_deg: float, photons: int, seed: int, n_threads: int | None) -> Array:
+    """∫ π L dA over each annulus per entering flux, of light scattered twice or more; none where it is fainter by
+    e^−_FAR_DECAYS."""
+    from bssrdf.transport.discrete_ordinates import decay_constant
+    from bssrdf.transport.engine import MonteCarloMedium, simulate
+    from bssrdf.transport.exit_radiance import angle_weights
+
+    medium = MonteCarloMedium.reduced(unit.sigma_a, unit.sigma_sp, unit.g, unit.eta)
+    far = _FAR_DECAYS / (decay_constant(medium.sigma_s / medium.sigma_t, unit.g) * medium.sigma_t)
+    edges = r_edges_mfp()
+    near = edges[edges < far]
+    tally = simulate(medium, r_edges_mm=near, n_photons=photons, seed=seed, n_threads=n_threads)
+    towards = angle_weights(unit.eta, float(np.cos(np.radians(view_angle_deg))))
+    seen = np.zeros(edges.size - 1)
+    seen[: near.size - 1] = tally.scores[:, 0, 2, :-1].mean(0) @ towards
+    return seen
+
+
+def _towards_camera(
+    unit: SampleMedium, view_angle_deg: float, photons: int, seed: int, n_threads: int | None
+) -> tuple[Array, Array]:
+    """`around` and `line` of `peel_off`, per photon."""
+    from bssrdf.rig.sim.peel_off import peel_off
     from bssrdf.transport.parallel import run_all
     from bssrdf.transport.photon import stream_states
 
@@ -131,38 +172,54 @@ def walked(unit: SampleMedium, view_angle_deg: float, photons: int, seed: int, n
         peel_off(each, state, sigma_s / sigma_t, unit.g, unit.eta, cos_view, edges[1], bins_per_e_fold, around, line)
         return around / each, line / each
 
-    states = stream_states(seed, _BATCHES)
+    states = stream_states(seed, _BATCHES, _OF_CAMERA)
     done, _ = run_all([functools.partial(batch, state) for state in states], threading.Event(), n_threads, None)
-    entering = float(transmittance(unit.eta, np.array(1.0)))
-    around, line = (np.pi * entering * np.mean([part[kind] for part in done], axis=0) for kind in (0, 1))
-    return _smooth_rows(around, line)
+    around, line = (np.mean([part[kind] for part in done], axis=0) for kind in range(2))
+    return around, line
 
 
-def _smooth_rows(around: Array, line: Array) -> Array:
-    """The rows of `walked` with less of the photons' noise; its sums stay."""
+def _smooth_rows(even: Array, around: Array, line: Array) -> Array:
+    """The rows of `walked` with less of the photons' noise; the sum of `even` stays."""
+    lit = even > _FAINT * even.sum()
+    smooth = np.zeros_like(even)
+    smooth[lit] = np.exp(_smooth(np.log(even[lit]), even[lit], lit, _KNOTS))
+    smooth *= even.sum() / smooth.sum()
+    return np.stack([beyond_of(smooth), beyond_of(line), *_harmonics_of(around)])
+
+
+def _harmonics_of(around: Array) -> Array:
+    """Smooth harmonics of each annulus, the last one repeated, (_HARMONICS, n_r + 1)."""
     light = around.sum(1)
-    counted = light > _FAINT * light.sum()
+    counted = light > _FEW * light.sum()
     order = np.arange(1, _HARMONICS + 1)
     width = np.pi / _AZIMUTHS
     middle = (np.arange(_AZIMUTHS) + 0.5) * width
     weights = 2 * np.cos(middle[:, None] * order) / np.sinc(order * width / 2 / np.pi)
     weights[:, -1] /= 2  # the series goes on: half its last term is nearer to the sum than all of it or none
-    share = light[counted]
-    ratios = (around[counted] @ weights) / share[:, None]
-    harmonics = np.zeros((_HARMONICS, line.size + 1))
-    harmonics[:, :-1][:, counted] = [_smooth(ratio, share, counted, 2 * _BINS_A_KNOT) for ratio in ratios.T]
-    even = np.where(counted, 0.0, light)
-    even[counted] = np.exp(_smooth(np.log(share), share, counted, _BINS_A_KNOT))
-    even *= light.sum() / even.sum()
-    return np.stack([beyond_of(even), beyond_of(line), *harmonics])
+    ratios = (around[counted] @ weights) / light[counted, None]
+    r = _middles()
+    last = int(np.flatnonzero(counted)[-1])
+    harmonics = np.zeros((_HARMONICS, light.size + 1))
+    for k, ratio in enumerate(ratios.T):
+        harmonics[k, :-1][counted] = _smooth(ratio, light[counted], counted, _HARMONIC_KNOTS)
+        harmonics[k, last + 1 :] = harmonics[k, last]
+        harmonics[k, :-1][r > _VANISHES_BEYOND[k]] = 0
+    return harmonics
 
 
-def _smooth(values: Array, light: Array, counted: NDArray[np.bool_], bins_a_knot: int) -> Array:
+def _smooth(values: Array, light: Array, counted: NDArray[np.bool_], knots_mfp: Array) -> Array:
     """A value of the annuli `counted`, as a cubic spline in ln r, each weighed by its light."""
-    edges = r_edges_mfp()
-    log_r = np.log(np.sqrt(np.maximum(edges[1:] * edges[:-1], edges[1:] ** 2 / 4)))[counted]
-    knots = np.concatenate([[log_r[0]] * 4, log_r[bins_a_knot:-bins_a_knot:bins_a_knot], [log_r[-1]] * 4])
+    log_r = np.log(_middles())[counted]
+    inner = np.log(knots_mfp)
+    inner = inner[(inner > log_r[3]) & (inner < log_r[-4])]
+    knots = np.concatenate([[log_r[0]] * 4, inner, [log_r[-1]] * 4])
     return np.asarray(make_lsq_spline(log_r, values, knots, w=np.sqrt(light))(log_r))
+
+
+def _middles() -> Array:
+    """Radii [1/σt′] that stand for the annuli."""
+    edges = r_edges_mfp()
+    return np.sqrt(np.maximum(edges[1:] * edges[:-1], edges[1:] ** 2 / 4))
 
 
 def beyond_of(annulus: Array) -> Array:
@@ -179,9 +236,9 @@ def _shipped() -> dict[str, Array]:
 
 def _cached(unit: SampleMedium, view_angle_deg: float, photons: int, seed: int) -> Array:
     from bssrdf.rig.sim import light, peel_off
-    from bssrdf.transport import photon
+    from bssrdf.transport import photon, walk
 
-    code = "".join(inspect.getsource(module) for module in (light, peel_off, photon))
+    code = "".join(inspect.getsource(module) for module in (light, peel_off, photon, walk))
     key = json.dumps([asdict(unit), view_angle_deg, photons, seed, code])
     file = platformdirs.user_cache_path("bssrdf") / "light" / f"{hashlib.sha256(key.encode()).hexdigest()[:32]}.npy"
     if not file.is_file():

@@ -16,8 +16,8 @@ from bssrdf.session.atomic import atomic_write
 from bssrdf.transport.materials import load_materials
 
 VIEW_ANGLE_DEG = 45.0
-PHOTONS = 40_000_000
-STEPS = 1e9
+PHOTONS = 10_000_000
+STEPS = 6e8
 """Collisions spent on one medium at most."""
 SEED = 20011
 
