@@ -23,7 +23,7 @@ SEED = 20011
 
 
 def make_light(path: Path, steps: float = STEPS) -> None:
-    """Walk every medium of the table and write the file; about 40 minutes of one processor."""
+    """Walk every medium of the table and write the file; about 50 minutes of one processor."""
     units = {light_key(unit, VIEW_ANGLE_DEG): unit for unit in _units()}
     rows = []
     for number, (key, unit) in enumerate(units.items()):
