@@ -44,7 +44,11 @@ OURS: tuple[tuple[str, Constraint], ...] = (
 
 
 class WholeDipole(DipoleModel):
-    """The dipole with all radii, as the peers take them."""
+    """The dipole with all radii, each weighed by its own error alone, as the peers take them."""
+
+    @property
+    def relative_error(self) -> float:
+        return 0.0
 
     @property
     def window_mfp(self) -> tuple[float, float]:

@@ -43,8 +43,8 @@ def seen_at(model: ForwardModel, data: Curves, point: Parameters, *, blurred: bo
     """The ratio at `point`, by the spot where `blurred`, by the camera's angle where `camera`."""
     centre = jnp.maximum((data.r_lo + data.r_hi) / 2, jnp.finfo(data.r_lo.dtype).eps)
 
-    def log_ratio(log_sigma_tp: Scalar, q: Scalar) -> Radii:
-        there = point._replace(log_sigma_tp=log_sigma_tp, q=q)
+    def log_ratio(shape: Float[Array, " 2"]) -> tuple[Radii, Radii]:
+        there = point._replace(log_sigma_tp=shape[0], q=shape[1])
 
         def exit_factor(r: Radii, sin_turn: Radii) -> Radii:
             if not camera:
@@ -57,13 +57,11 @@ def seen_at(model: ForwardModel, data: Curves, point: Parameters, *, blurred: bo
             seen = blur(model, there, centre, data.spot_radius, exit_factor)
         else:
             seen = exit_factor(centre, jnp.zeros_like(centre))
-        return jnp.log(jnp.maximum(seen, _DARKEST))
+        value = jnp.log(jnp.maximum(seen, _DARKEST))
+        return value, value
 
-    at = (point.log_sigma_tp, point.q)
-    one, zero = jnp.ones_like(point.q), jnp.zeros_like(point.q)
-    value, by_log_sigma = jax.jvp(log_ratio, at, (one, zero))
-    by_q = jax.jvp(log_ratio, at, (zero, one))[1]
-    return Seen(value, jnp.stack([by_log_sigma, by_q]), *at)
+    slopes, value = jax.jacfwd(log_ratio, has_aux=True)(jnp.stack([point.log_sigma_tp, point.q]))
+    return Seen(value, slopes.T, point.log_sigma_tp, point.q)
 
 
 def azimuths(arc: Radii, sin_turn: Radii) -> Azimuths:

@@ -7,8 +7,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from bssrdf.rig.sim.light import SampleMedium, r_edges_mfp, seen_light, unit_medium, walked
+from bssrdf.rig.sim.light import SampleMedium, r_edges_mfp, seen_light, unit_medium
 from bssrdf.rig.sim.serial_devices import Sc10, Scpi, Uniblitz
+from bssrdf.rig.sim.walked_light import walked
 from bssrdf.rig.sim.world import World
 from bssrdf.transport.discrete_ordinates import half_space
 from bssrdf.transport.exit_radiance import transmittance

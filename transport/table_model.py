@@ -136,6 +136,7 @@ class TableModel(NamedTuple):
         if farthest > R_MAX * (1 + 1e-6):
             raise InputError(f"r = {farthest:.4g} reduced mean free paths: the Monte Carlo table ends at {R_MAX:g}")
 
+    @jax.jit
     def _first(self, medium: Medium, r: Real) -> Float[Array, "..."]:
         sigma_s = medium.sigma_sp / (1 - self.g)
         sigma_t = sigma_s + medium.sigma_a
@@ -143,6 +144,7 @@ class TableModel(NamedTuple):
         w = jnp.log1p(rho / RHO_ZERO) / W_MAX
         return sigma_s / r * jnp.exp(_cubic(self.first, jnp.minimum(w, 1)) - self.first_decay * rho)
 
+    @jax.jit
     def _first_radiance(self, medium: Medium, r: Real, mu: Real) -> Float[Array, "..."]:
         """π L⁽¹⁾, the mean over all azimuths; see `single.first_order_bin_average` for the geometry."""
         sine = jnp.sqrt(1 - jnp.square(mu))
@@ -153,6 +155,7 @@ class TableModel(NamedTuple):
         decay = jnp.exp(-path / safe) / safe
         return sigma_s * phase_hg(self.g, -inside) * fresnel_t(self.eta, mu) * decay / (2 * self.eta * r)
 
+    @jax.jit
     def _multiple(self, medium: Medium, r: Real) -> Float[Array, "..."]:
         u = _u(medium)
         x = medium.sigma_tp * r

@@ -10,20 +10,21 @@ from pathlib import Path
 
 import numpy as np
 
-from bssrdf.rig.sim.light import SHIPPED, SampleMedium, light_key, unit_medium, walked
+from bssrdf.rig.sim.light import SHIPPED, SampleMedium, light_key, unit_medium
 from bssrdf.rig.sim.samples import published_sample
+from bssrdf.rig.sim.walked_light import walked
 from bssrdf.session.atomic import atomic_write
 from bssrdf.transport.materials import load_materials
 
 VIEW_ANGLE_DEG = 45.0
-PHOTONS = 10_000_000
-STEPS = 6e8
-"""Collisions spent on one medium at most."""
+PHOTONS = 5_000_000
+STEPS = 2e8
+"""Collisions spent on a walk at most."""
 SEED = 20011
 
 
 def make_light(path: Path, steps: float = STEPS) -> None:
-    """Walk every medium of the table and write the file; about 50 minutes of one processor."""
+    """Walk every medium of the table and write the file; about 40 minutes of one processor."""
     units = {light_key(unit, VIEW_ANGLE_DEG): unit for unit in _units()}
     rows = []
     for number, (key, unit) in enumerate(units.items()):
