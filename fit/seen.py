@@ -44,20 +44,16 @@ def seen_at(model: ForwardModel, data: Curves, point: Parameters, *, blurred: bo
     centre = jnp.maximum((data.r_lo + data.r_hi) / 2, jnp.finfo(data.r_lo.dtype).eps)
 
     def log_ratio(shape: Float[Array, " 2"]) -> tuple[Radii, Radii]:
-        there = point._replace(log_sigma_tp=shape[0], q=shape[1])
+        medium = medium_of(model, point._replace(log_sigma_tp=shape[0], q=shape[1]))
+        law = DipoleModel(model.eta).total_radiance_factor(medium, data.cos_view)
 
-        def exit_factor(r: Radii, sin_turn: Radii) -> Radii:
+        def light(r: Radii, sin_turn: Radii) -> Radii:
             if not camera:
-                return jnp.ones_like(r)
-            medium, seen_from = medium_of(model, there), azimuths(data.arc, sin_turn)
-            law = DipoleModel(model.eta).total_radiance_factor(medium, data.cos_view)
-            return model.radiance_factor(medium, r, data.cos_view, seen_from) / law
+                return model.rd(medium, r)
+            return model.radiance(medium, r, data.cos_view, azimuths(data.arc, sin_turn)) / law
 
-        if blurred:
-            seen = blur(model, there, centre, data.spot_radius, exit_factor)
-        else:
-            seen = exit_factor(centre, jnp.zeros_like(centre))
-        value = jnp.log(jnp.maximum(seen, _DARKEST))
+        seen = blur(light, centre, data.spot_radius) if blurred else light(centre, jnp.zeros_like(centre))
+        value = jnp.log(jnp.maximum(seen / model.rd(medium, centre), _DARKEST))
         return value, value
 
     slopes, value = jax.jacfwd(log_ratio, has_aux=True)(jnp.stack([point.log_sigma_tp, point.q]))

@@ -10,8 +10,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from bssrdf.fit.curves import RADII_FROM_SPOT
-from bssrdf.fit.predict import Parameters, Scalar, curve
-from bssrdf.transport.forward import ForwardModel
+from bssrdf.fit.predict import Scalar
 
 _T, _T_WEIGHTS = np.polynomial.laguerre.laggauss(6)
 _ANGLES = (np.arange(8) + 0.5) * np.pi / 8
@@ -30,31 +29,22 @@ def matters(spot_radius_mm: float, r_mm: np.ndarray, relative_sd: float) -> bool
 Radii = Float[Array, " n"]
 
 
-def blur(
-    model: ForwardModel,
-    point: Parameters,
-    r: Radii,
-    spot_radius: Scalar,
-    exit_factor: Callable[[Radii, Radii], Radii],
-) -> Radii:
-    """What is seen through the spot at r, over R_d of an infinitely narrow beam.
+def blur(light: Callable[[Radii, Radii], Radii], r: Radii, spot_radius: Scalar) -> Radii:
+    """What a spot makes at r of the light around an infinitely narrow beam.
 
-    Mean of R_d(d) exit_factor(d, sin δ), d = r − ρ and δ its angle to r, over the spot's irradiance
-    2/(πw²) e^(−2ρ²/w²): Gauss–Laguerre in 2ρ²/w², midpoints in angle.
+    Mean of light(d, sin δ), d = r − ρ and δ its angle to r, over the spot's irradiance 2/(πw²) e^(−2ρ²/w²):
+    Gauss–Laguerre in 2ρ²/w², midpoints in angle.
     """
-    bare = curve(model, point, r, r, False)
 
     def add(sum_so_far: Float[Array, " n"], node: tuple[Scalar, ...]) -> tuple[Float[Array, " n"], None]:
         rho_over_w, cos_angle, sin_angle, weight = node
         rho = rho_over_w * spot_radius
         distance = jnp.sqrt(jnp.maximum(r * r + rho * rho - 2 * r * rho * cos_angle, 1e-6 * spot_radius**2))
-        light = curve(model, point, distance, distance, False) * exit_factor(distance, rho * sin_angle / distance)
-        return sum_so_far + weight * light, None
+        return sum_so_far + weight * light(distance, rho * sin_angle / distance), None
 
     rho, angle = np.meshgrid(np.sqrt(_T / 2), _ANGLES, indexing="ij")
     weights = np.repeat(_T_WEIGHTS / len(_ANGLES), len(_ANGLES))
     nodes = tuple(
         jnp.asarray(each, r.dtype) for each in (rho.ravel(), np.cos(angle).ravel(), np.sin(angle).ravel(), weights)
     )
-    blurred, _ = jax.lax.scan(add, jnp.zeros_like(r), nodes)
-    return jnp.where(spot_radius > 0, blurred / bare, exit_factor(r, jnp.zeros_like(r)))
+    return jax.lax.scan(add, jnp.zeros_like(r), nodes)[0]

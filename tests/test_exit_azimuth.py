@@ -76,8 +76,8 @@ def of_the_table(perpendicular: bool) -> np.ndarray:
         for lo, hi in pairwise(R_EDGES):
             r = np.linspace(lo, hi, 17)[1::2, None]
             flux = np.asarray(model.rd(medium, r)) * r
-            factor = np.asarray(model.radiance_factor(medium, r, mu, ACROSS if perpendicular else WHOLE_CIRCLE))
-            factors.append((flux * factor).mean() / flux.mean())
+            seen = np.asarray(model.radiance(medium, r, mu, ACROSS if perpendicular else WHOLE_CIRCLE)) * r
+            factors.append(seen.mean() / flux.mean())
     return np.array(factors)
 
 

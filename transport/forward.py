@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from typing import NamedTuple, Protocol, runtime_checkable
 
-import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from bssrdf.transport import dipole
@@ -72,8 +71,8 @@ class ForwardModel(Protocol):
         """Total diffuse reflectance."""
         ...
 
-    def radiance_factor(self, medium: Medium, r: Real, mu: Real, azimuths: Azimuths) -> Float[Array, "..."]:
-        """π L/R_d at radius r towards the outside cosine `mu`, a mean over `azimuths`: 1 for a Lambertian surface."""
+    def radiance(self, medium: Medium, r: Real, mu: Real, azimuths: Azimuths) -> Float[Array, "..."]:
+        """π L [1/mm²] at radius r towards the outside cosine `mu`, a mean over `azimuths`: R_d if Lambertian."""
         ...
 
     def total_radiance_factor(self, medium: Medium, mu: Real) -> Float[Array, "..."]:
@@ -111,9 +110,9 @@ class DipoleModel(NamedTuple):
     def total(self, medium: Medium) -> Float[Array, "..."]:
         return dipole.total_r(medium)
 
-    def radiance_factor(self, medium: Medium, r: Real, mu: Real, azimuths: Azimuths) -> Float[Array, "..."]:
-        """Ft/C at every radius and azimuth: the paper's exit law, normalised."""
-        return jnp.broadcast_to(self.total_radiance_factor(medium, mu), jnp.shape(r))
+    def radiance(self, medium: Medium, r: Real, mu: Real, azimuths: Azimuths) -> Float[Array, "..."]:
+        """Ft/C of R_d at every radius and azimuth: the paper's exit law, normalised."""
+        return self.rd(medium, r) * self.total_radiance_factor(medium, mu)
 
     def total_radiance_factor(self, medium: Medium, mu: Real) -> Float[Array, "..."]:
         return fresnel_t(medium.eta, mu) / exit_norm(medium.eta)

@@ -95,27 +95,28 @@ class TableModel(NamedTuple):
         self.check(medium, 0.0)
         return medium.albedo_p * jnp.exp(-_cubic(self.log_total, _u(medium)))
 
-    def radiance_factor(self, medium: Medium, r: Real, mu: Real, azimuths: Azimuths) -> Float[Array, "..."]:
-        """π L/R_d at radius r > 0 towards the outside cosine `mu`, a mean over `azimuths`: 1 for a Lambertian surface.
+    def radiance(self, medium: Medium, r: Real, mu: Real, azimuths: Azimuths) -> Float[Array, "..."]:
+        """π L [1/mm²] at radius r > 0 towards the outside cosine `mu`, a mean over `azimuths`.
 
         The odd harmonics are left out, which the two sides of a spot cancel, and the even ones go as the second does.
         """
         self.check(medium, r)
-        rows = _rows(self.angles, _u(medium), N_U_COARSE)
         v = jnp.minimum(jnp.log1p(r * medium.sigma_tp / R_ZERO) / V_MAX, 1)
-        shape = [_cubic(rows[..., k, :, :], v) for k in range(rows.shape[-3])]
+        rows = jnp.moveaxis(_rows(self.angles, _u(medium), N_U_COARSE), -3, 0)
+        rank = max(jnp.ndim(v) - (rows.ndim - 3), 0)
+        shape = _cubic(jnp.expand_dims(rows, tuple(range(rows.ndim - 2, rows.ndim - 2 + rank))), v[None])
         lobe = _exit_lobe(self.eta, mu, shape[: DEGREE + 1])
         square_of_sine = (1 - jnp.square(mu)) / jnp.square(self.eta)
         across = square_of_sine * _exit_lobe(self.eta, mu, shape[DEGREE + 1 :])
-        multiple = self._multiple(medium, r)
-        seen = multiple * (lobe - azimuths.cos_2 * across) + azimuths.along * self._first_radiance(medium, r, mu)
-        return seen / (self._first(medium, r) + multiple)
+        multiple = self._multiple(medium, r) * (lobe - azimuths.cos_2 * across)
+        return multiple + azimuths.along * self._first_radiance(medium, r, mu)
 
     def total_radiance_factor(self, medium: Medium, mu: Real) -> Float[Array, "..."]:
         """π L/R over the whole surface towards the outside cosine `mu`: 1 for a Lambertian surface."""
         self.check(medium, 0.0)
         u = _u(medium)
-        return _exit_lobe(self.eta, mu, [_cubic(self.total_angles[k], u) for k in range(DEGREE + 1)])
+        cells = jnp.expand_dims(self.total_angles, tuple(range(1, 1 + jnp.ndim(u))))
+        return _exit_lobe(self.eta, mu, _cubic(cells, u[None])[: DEGREE + 1])
 
     def check(self, medium: Medium, r: Real) -> None:
         """Raise InputError where medium or radius, if known outside a compiled function, lie outside the table."""
@@ -201,13 +202,15 @@ def _cubic(cells: Float[Array, "... 4 n"], t: Float[Array, "..."]) -> Float[Arra
     return ((d * f + c) * f + b) * f + a
 
 
-def _exit_lobe(eta: Real, mu: Real, shape: list[Float[Array, "..."]]) -> Float[Array, "..."]:
+def _exit_lobe(eta: Real, mu: Real, shape: Float[Array, "k ..."]) -> Float[Array, "..."]:
     """Ft times the sum of Legendre polynomials of `exit_radiance` in the cosine inside."""
     grazing = jnp.sqrt(1 - 1 / jnp.square(eta))
     inside = jnp.sqrt(1 - (1 - jnp.square(mu)) / jnp.square(eta))
     centred = (2 * inside - 1 - grazing) / (1 - grazing)
-    before, polynomial, lobe = jnp.zeros_like(centred), jnp.ones_like(centred), jnp.zeros_like(centred)
-    for k, coefficient in enumerate(shape):
-        lobe += coefficient * polynomial
-        before, polynomial = polynomial, ((2 * k + 1) * centred * polynomial - k * before) / (k + 1)
-    return fresnel_t(eta, mu) * lobe
+    polynomials = [jnp.ones_like(centred), centred]
+    for k in range(1, len(shape) - 1):
+        polynomials.append(((2 * k + 1) * centred * polynomials[k] - k * polynomials[k - 1]) / (k + 1))
+    terms = (jnp.stack(polynomials), shape)
+    rank = max(term.ndim for term in terms)
+    basis, weights = (term.reshape(*term.shape, *(1,) * (rank - term.ndim)) for term in terms)
+    return fresnel_t(eta, mu) * (basis * weights).sum(axis=0)

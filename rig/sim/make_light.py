@@ -17,9 +17,10 @@ from bssrdf.session.atomic import atomic_write
 from bssrdf.transport.materials import load_materials
 
 VIEW_ANGLE_DEG = 45.0
-PHOTONS = 5_000_000
-STEPS = 2e8
-"""Collisions spent on a walk at most."""
+PHOTONS = (700_000, 5_000_000)
+"""At least and at most."""
+STEPS = 3e8
+"""Collisions spent on a walk, between these."""
 SEED = 20011
 
 
@@ -29,7 +30,7 @@ def make_light(path: Path, steps: float = STEPS) -> None:
     rows = []
     for number, (key, unit) in enumerate(units.items()):
         absorbed = 1 - np.exp(-4.6 * np.sqrt(unit.sigma_a))
-        photons = int(min(PHOTONS, steps * unit.sigma_a / absorbed))
+        photons = int(np.clip(steps * unit.sigma_a / absorbed, *PHOTONS))
         print(f"{number + 1}/{len(units)} {key}: {photons} photons", file=sys.stderr)
         rows.append(walked(unit, VIEW_ANGLE_DEG, photons, SEED + number))
     with atomic_write(path) as part, part.open("wb") as stream:

@@ -30,7 +30,7 @@ _SURELY_LIT = 2.0
 """Radius [1/σt′] within which an annulus is faint because it is small."""
 _KNOTS = np.exp([*np.arange(-5, 1, 0.4), *np.arange(1.2, 8, 0.8)])
 """Of the smooth light [1/σt′]."""
-_HARMONIC_KNOTS = np.exp([*np.arange(-5, 1.4, 0.8), 3.0, 5.0])
+_HARMONIC_KNOTS = np.exp([*np.arange(-5, 3.2, 0.8), 4.5])
 _VANISHES_BEYOND = (np.inf, np.inf, 10.0, 10.0, *(4.0,) * (_HARMONICS - 4))
 """Radii [1/σt′] from which on a harmonic is below 0.5 % of the light in any medium, and so only noise."""
 _BATCHES = 32
