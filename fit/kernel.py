@@ -22,7 +22,7 @@ from bssrdf.fit.predict import (
     total_slope,
 )
 from bssrdf.fit.scan import spread, start
-from bssrdf.fit.seen import Seen, as_it_is, seen_at
+from bssrdf.fit.seen import Seen, as_it_is, exit_rel_sd, seen_at
 from bssrdf.fit.window import counts
 from bssrdf.transport.forward import DipoleModel, ForwardModel
 
@@ -165,7 +165,10 @@ def reweighted(task: Task, model: ForwardModel, data: Curves, known: Float[Array
     if task.blurred or task.camera:
         seen = seen_at(model, data, point, blurred=task.blurred, camera=task.camera)
     expected = curve(model, point, data.r_lo, data.r_hi, task.binned) * seen.ratio(point)
-    weight = inside * _weight(task, model, known, expected)
+    model_rel_sd = jnp.full_like(known, model.relative_error)
+    if task.camera:
+        model_rel_sd = jnp.hypot(model_rel_sd, exit_rel_sd(data, point))
+    weight = inside * _weight(task, model_rel_sd, known, expected)
     if task.robust:
         distance = jnp.abs(data.rd - expected) * weight
         scatter = 1.0 if task.errors_known else _median(distance, inside) / 0.6745
@@ -303,7 +306,7 @@ def _unpack(task: Task, free: Vector, q_of_r: Scalar) -> Parameters:
 
 
 def _weight(
-    task: Task, model: ForwardModel, known: Float[Array, " n"], expected: Float[Array, " n"]
+    task: Task, model_rel_sd: Float[Array, " n"], known: Float[Array, " n"], expected: Float[Array, " n"]
 ) -> Float[Array, " n"]:
     """1/√(sd² + what the model may be off by²), or equal relative errors where the data have none.
 
@@ -312,7 +315,7 @@ def _weight(
     expected = jnp.maximum(expected, jnp.finfo(expected.dtype).tiny ** 0.25)
     if not task.errors_known:
         return 1 / expected
-    return known / jnp.sqrt(1 + jnp.square(known * model.relative_error * expected))
+    return known / jnp.sqrt(1 + jnp.square(known * model_rel_sd * expected))
 
 
 def _inverse(information: Float[Array, "p p"]) -> Float[Array, "p p"]:
