@@ -36,3 +36,15 @@ def shared_data() -> Path:
     if not SHARED.is_dir():
         pytest.skip("the shared data folder does not lie beside this checkout")
     return SHARED
+
+
+@pytest.fixture(scope="module")
+def renderer() -> None:
+    """Mitsuba, ready; the test is skipped where it is not usable."""
+    from bssrdf.errors import BssrdfError
+    from bssrdf.render.variant import use_variant
+
+    try:
+        use_variant()
+    except BssrdfError as error:
+        pytest.skip(str(error))

@@ -14,20 +14,11 @@ from bssrdf.bench.render_cases import MATERIALS, cases
 from bssrdf.bench.render_truth import cut_share, sky_radiance
 from bssrdf.cli import cli
 from bssrdf.console import run
-from bssrdf.errors import BssrdfError, UsageError
+from bssrdf.errors import UsageError
 from bssrdf.render.material import find_medium
-from bssrdf.render.variant import use_variant
 from bssrdf.transport.brdf import brdf_diffuse, brdf_single
 from bssrdf.transport.dipole import Medium
 from bssrdf.transport.fresnel import fresnel_r
-
-
-@pytest.fixture(scope="module")
-def _renderer() -> None:
-    try:
-        use_variant()
-    except BssrdfError as error:
-        pytest.skip(str(error))
 
 
 @pytest.mark.parametrize("albedo", [1.0, 0.9999, 0.998])
@@ -80,7 +71,7 @@ def test_a_scene_that_is_not_in_the_bench_is_one_line() -> None:
         run_render_bench(None, effort=Effort(scenes=("bal 3",)))
 
 
-@pytest.mark.usefixtures("_renderer")
+@pytest.mark.usefixtures("renderer")
 def test_the_quick_bench_writes_table_numbers_and_plot(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run(cli, ["bench", "render", "--quick", "--quiet", "--out", str(tmp_path / "bench")]) == 0
     said = capsys.readouterr().out
@@ -95,7 +86,7 @@ def test_the_quick_bench_writes_table_numbers_and_plot(tmp_path: Path, capsys: p
     assert run(cli, ["bench", "render", "--quick", "--quiet", "--out", str(tmp_path / "bench")]) == 2
 
 
-@pytest.mark.usefixtures("_renderer")
+@pytest.mark.usefixtures("renderer")
 def test_the_sky_on_a_slab_is_the_closed_form_of_the_terms() -> None:
     effort = Effort(
         pixels=16,

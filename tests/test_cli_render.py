@@ -10,22 +10,12 @@ import pytest
 
 from bssrdf.cli import cli
 from bssrdf.console import run
-from bssrdf.errors import BssrdfError
-from bssrdf.render.variant import use_variant
 from bssrdf.session.oiio_file import read_images
 
 QUICK = ("--quiet", "--width", "12", "--samples", "2")
 
 
-@pytest.fixture(scope="module")
-def _renderer() -> None:
-    try:
-        use_variant()
-    except BssrdfError as error:
-        pytest.skip(str(error))
-
-
-needs_renderer = pytest.mark.usefixtures("_renderer")
+needs_renderer = pytest.mark.usefixtures("renderer")
 
 
 def bssrdf(*arguments: object) -> int:
