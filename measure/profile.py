@@ -109,6 +109,8 @@ def profile(points: Points, edges: Array, footprint: tuple[float, float], band: 
     points, r = Points(*(field[r < edges[-1]] for field in points)), r[r < edges[-1]]
     index = np.searchsorted(edges, r, side="right") - 1
     weight = _density_weight(r, band)
+    if band is not None:
+        weight *= _balance(points.along, index, len(edges) - 1)
     flat = np.ones(len(edges) - 1)
     keep = _not_outlying(points, np.zeros(len(r)), index, len(edges) - 1)
     out = _bins(points, edges, index, weight, np.ones(len(r)), flat, 0 * flat, keep)
@@ -125,6 +127,15 @@ def _density_weight(r: Array, band: float | None) -> Array:
     if band is None:
         return np.ones_like(r)
     return 1 / (2 / np.pi * np.arcsin(np.minimum(1, band / 2 / np.maximum(r, 1e-12))))
+
+
+def _balance(along: Array, index: NDArray[np.int64], n_bins: int) -> Array:
+    """Weights that put the mean of each bin's pixels on the slice: light runs outwards, so that a camera at an angle
+    sees more on its own side, and of a mosaic's colour more rows may lie on one."""
+    ahead, behind = (np.bincount(index, np.maximum(sign * along, 0), n_bins) for sign in (1, -1))
+    both = (ahead > 0) & (behind > 0)
+    ratio = np.sqrt(np.divide(behind, ahead, out=np.ones(n_bins), where=both))[index]
+    return np.where(along > 0, ratio, 1 / ratio)
 
 
 def _bins(
