@@ -16,6 +16,8 @@ _REACH_SIGMA = 100.0
 """Beyond this many σ of the spot, its width changes the curve by less than 0.1 %."""
 _LINE_POINTS = 4000
 _FLOOR = 1e-30
+_FAINT_RATIO = 1e-9
+"""Of a harmonic: less would overflow its interpolation."""
 
 
 class Radiance:
@@ -40,7 +42,10 @@ class Radiance:
             rows.append(np.concatenate([at_near, beyond / (np.pi * np.diff(far_edges**2))]))
         r, mean = np.concatenate([near, far]), np.maximum(rows[0], _FLOOR)
         self._log_mean = PchipInterpolator(r, np.log(mean))
-        self._ratios = PchipInterpolator(r, np.stack([row / mean for row in rows[1:]], axis=1)) if rows[1:] else None
+        self._ratios = None
+        if rows[1:]:
+            ratios = np.stack([row / mean for row in rows[1:]], axis=1)
+            self._ratios = PchipInterpolator(r, np.where(np.abs(ratios) > _FAINT_RATIO, ratios, 0.0))
         self._sigma = sigma
         self._along: tuple[Array, Array] | None = None
         if light.line_beyond is not None:
