@@ -167,7 +167,7 @@ def reweighted(task: Task, model: ForwardModel, data: Curves, known: Float[Array
     expected = curve(model, point, data.r_lo, data.r_hi, task.binned) * seen.ratio(point)
     model_rel_sd = jnp.full_like(known, model.relative_error)
     if task.camera:
-        model_rel_sd = jnp.hypot(model_rel_sd, exit_rel_sd(data, point))
+        model_rel_sd = jnp.hypot(model_rel_sd, exit_rel_sd(model, data, point))
     weight = inside * _weight(task, model_rel_sd, known, expected)
     if task.robust:
         distance = jnp.abs(data.rd - expected) * weight

@@ -17,10 +17,6 @@ _DARKEST = 1e-6
 """What the exit law falls to at least, where it is a fit that may run below 0 right at the beam."""
 
 
-_EXIT_MFP = 0.008
-"""Relative error of the exit law across the view, times the radius in mean free paths: see docs/white-tables.md."""
-
-
 class Seen(NamedTuple):
     """The ratio of what is seen to the model's curve, near the point where it was last worked out."""
 
@@ -64,11 +60,11 @@ def seen_at(model: ForwardModel, data: Curves, point: Parameters, *, blurred: bo
     return Seen(value, slopes.T, point.log_sigma_tp, point.q)
 
 
-def exit_rel_sd(data: Curves, point: Parameters) -> Radii:
+def exit_rel_sd(model: ForwardModel, data: Curves, point: Parameters) -> Radii:
     """What the exit law may be off by at each radius; all azimuths together it is known better."""
     mfp = jnp.exp(-point.log_sigma_tp)
     centre = jnp.maximum((data.r_lo + data.r_hi) / 2, 1e-3 * mfp)
-    return _EXIT_MFP * mfp / centre * jnp.abs(jnp.sinc(2 * data.arc / jnp.pi))
+    return model.exit_error_mfp * mfp / centre * jnp.abs(jnp.sinc(2 * data.arc / jnp.pi))
 
 
 def azimuths(arc: Radii, sin_turn: Radii) -> Azimuths:

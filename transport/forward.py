@@ -59,6 +59,11 @@ class ForwardModel(Protocol):
         """How far its curve may be off at a typical radius: what a radius's weight in a fit allows for."""
         ...
 
+    @property
+    def exit_error_mfp(self) -> float:
+        """How far its radiance across the view may be off relative to that, times the radius in mean free paths."""
+        ...
+
     def rd(self, medium: Medium, r: Real) -> Float[Array, "..."]:
         """R_d(r) [1/mm²]."""
         ...
@@ -100,6 +105,10 @@ class DipoleModel(NamedTuple):
     @property
     def relative_error(self) -> float:
         return 0.05
+
+    @property
+    def exit_error_mfp(self) -> float:
+        return 0.0  # nothing beside its other errors
 
     def rd(self, medium: Medium, r: Real) -> Float[Array, "..."]:
         return dipole.rd(medium, r)
