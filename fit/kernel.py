@@ -21,7 +21,7 @@ from bssrdf.fit.predict import (
     total,
     total_slope,
 )
-from bssrdf.fit.scan import spread, start
+from bssrdf.fit.scan import Q_GRID, spread, start
 from bssrdf.fit.seen import Seen, as_it_is, exit_rel_sd, seen_at
 from bssrdf.fit.window import counts
 from bssrdf.transport.forward import DipoleModel, ForwardModel
@@ -33,6 +33,8 @@ PASSES = 3
 ROBUST_PASSES = 12
 GLANCE = 3
 """Steps in a pass whose window and weights are not the last."""
+_VALLEYS = 4
+"""Ranges of albedo in which a curve of unknown factor is looked for, each for itself."""
 HUBER = 1.345
 """Standard deviations from which on a residual counts linearly: 95 % efficient on normal noise (Huber 1981)."""
 
@@ -110,12 +112,24 @@ def solve(task: Task, model: ForwardModel, data: Curves) -> Solution:
     known = jnp.where(jnp.isnan(data.weight), 1.0, data.weight)
     few = spread((known != 0) & (data.r_lo >= data.window[0]) & (data.r_hi <= data.window[1]))
     sparse = data._replace(r_lo=data.r_lo[few], r_hi=data.r_hi[few], rd=data.rd[few], arc=data.arc[few])
-    q_of_r = None if task.constraint == "none" else q_of_total(model, data.total_r)
-    point = start(model, (sparse.r_lo + sparse.r_hi) / 2, sparse.rd, q_of_r, task.scale_free)
     plain = task._replace(blurred=False, camera=False, robust=False)
-    begun = _relaid(plain, model, sparse, known[few], point)
-    finite = jnp.isfinite(sum(begun.point))
-    point = jax.tree.map(lambda found, scanned: jnp.where(finite, found, scanned), begun.point, point)
+
+    def begin(q_grid: Vector) -> tuple[Parameters, Scalar]:
+        point = start(model, (sparse.r_lo + sparse.r_hi) / 2, sparse.rd, q_grid, task.scale_free)
+        begun = _relaid(plain, model, sparse, known[few], point)
+        misfit = residual(plain, model, sparse, begun).value
+        finite = jnp.isfinite(sum(begun.point))
+        point = jax.tree.map(lambda found, scanned: jnp.where(finite, found, scanned), begun.point, point)
+        return point, misfit @ misfit / jnp.maximum(begun.counts.sum(), 1)
+
+    if task.constraint != "none":
+        point, _ = begin(q_of_total(model, data.total_r)[None])
+    elif not task.scale_free:
+        point, _ = begin(jnp.asarray(Q_GRID, data.rd.dtype))
+    else:  # shape alone may have a second minimum at another albedo
+        points, misfits = jax.vmap(begin)(jnp.asarray(Q_GRID, data.rd.dtype).reshape(_VALLEYS, -1))
+        best = jnp.argmin(jnp.where(jnp.isfinite(misfits), misfits, jnp.inf))
+        point = jax.tree.map(lambda each: each[best], points)
     return _relaid(task, model, data, known, point)
 
 

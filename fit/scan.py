@@ -21,15 +21,14 @@ def start(
     model: ForwardModel,
     r: Float[Array, " n"],
     rd: Float[Array, " n"],
-    q: Scalar | None,
+    q_grid: Float[Array, " k"],
     scale_free: bool,
 ) -> Parameters:
-    """The grid point nearest to the curve; `q` is given where R is."""
+    """The grid point nearest to the curve, of these q."""
     positive = rd > 0
     log_rd = jnp.log(jnp.where(positive, rd, 1.0))
     weight = positive / jnp.maximum(positive.sum(), 1).astype(r.dtype)
     log_sigma = jnp.asarray(LOG_EXTENT, r.dtype) - jnp.log(jnp.max(r))
-    q_grid = jnp.asarray(Q_GRID, r.dtype) if q is None else q[None]
 
     def misfits(q: Scalar) -> tuple[Float[Array, " s"], Float[Array, " s"]]:
         """Of this q with every scale: R_d = σt′² f(q, σt′ r), so one medium is asked for all radii at once."""
