@@ -13,6 +13,7 @@ import pytest
 from bssrdf.cli import cli
 from bssrdf.console import run
 from bssrdf.errors import DeviceError
+from bssrdf.session.slice_csv import HEADER
 from bssrdf.transport.dipole import Medium, rd, total_r
 from bssrdf.transport.precision import scoped_x64
 
@@ -253,3 +254,8 @@ def test_the_published_table_is_checked_against_itself(capsys: pytest.CaptureFix
         assert row["difference"] == pytest.approx(row["r_computed"] - row["r_published"], abs=1e-4)
     assert bssrdf("table") == 0
     assert "Jensen" in capsys.readouterr().out
+
+
+def test_every_key_of_a_slice_is_an_option_of_fit() -> None:
+    options = {parameter.name for parameter in cli.commands["fit"].params}
+    assert HEADER.keys() - {"flags", "provenance"} <= options
