@@ -207,9 +207,12 @@ def _channel_option(name: str, text: str) -> Callable[[Decorated], Decorated]:
 SLICE_KEYS = (
     click.option("--eta", type=float, help="Relative index of refraction."),
     click.option("--g", type=float, help="Mean cosine of the phase function."),
+    click.option("--eta-sd", type=float, help="Error of eta."),
+    click.option("--g-sd", type=float, help="Error of g."),
     click.option("--flux", type=click.Choice(["incident", "entering"]), help="What R_d is per unit of."),
     click.option("--exit", type=click.Choice(["hemisphere", "lambertian", "fresnel"]), help="What the camera saw."),
     click.option("--view-angle-deg", type=float, help="Camera against the surface normal."),
+    click.option("--view-angle-sd-deg", type=float, help="Error of the view angle."),
     click.option("--azimuth", type=click.Choice(["perpendicular", "mean"]), help="Of the camera about the normal."),
     click.option("--band-mm", type=float, help="Width along the view of the pixels that make a slice."),
     click.option("--incidence-deg", type=float, help="Beam against the surface normal."),
@@ -220,6 +223,7 @@ SLICE_KEYS = (
     click.option("--spot-radius-sd-mm", type=float, help="Its error."),
     click.option("--scale-rel-sd", type=float, help="Relative error common to curve and total."),
     click.option("--mm-rel-sd", type=float, help="Relative error of the length scale."),
+    click.option("--shared-errors", help="Slices of the same text share errors of scale and length."),
     click.option("--material", help="Name of the material."),
 )
 """Keys of slice.csv, which win over the file's."""

@@ -85,7 +85,7 @@ def _profiles(
     task: Task, model: ForwardModel, data: Curves, judged: Judged, jobs: Sequence[Job], rows: Sequence[int]
 ) -> list[Profile]:
     """Profile likelihoods of some rows. An R without an error fixes q = 0; what bounds σa then is the curve alone."""
-    scale_sd = np.asarray([job.piece.scale_rel_sd for job in jobs])
+    scale_sd = np.asarray([job.piece.scale_rel_sd or 0.0 for job in jobs])
     data = data._replace(total_r_sd=np.hypot(data.total_r_sd, scale_sd * data.total_r))
     constraint: Constraint = "none" if task.constraint == "exact" else task.constraint
     inflation = np.ones(len(jobs)) if task.errors_known else judged.chi2
@@ -96,7 +96,11 @@ def _profiles(
 
 def _common_errors(jobs: Sequence[Job]) -> Common:
     rows = [
-        (job.piece.total_r_sd.get(job.channel, 0.0) / factor_of(job.piece), job.piece.scale_rel_sd, job.piece.mm_rel_sd)
+        (
+            job.piece.total_r_sd.get(job.channel, 0.0) / factor_of(job.piece),
+            job.piece.scale_rel_sd or 0.0,
+            job.piece.mm_rel_sd or 0.0,
+        )
         for job in jobs
     ]
     return Common(*np.asarray(rows).T)

@@ -92,7 +92,7 @@ def _part(piece: Slice, name: str, options: FitOptions, announce: Announce | Non
     if fitted.group.task.constraint == "exact":
         raise InputError(f"R of channel {name} has no error: give total_r_sd to weigh it, or --constraint none")
     data, solution = pick(fitted.data, 0), pick(fitted.judged.solution, 0)
-    return _Part(fitted.group.task, fitted.model, data, solution, piece.scale_rel_sd, piece.mm_rel_sd)
+    return _Part(fitted.group.task, fitted.model, data, solution, piece.scale_rel_sd or 0.0, piece.mm_rel_sd or 0.0)
 
 
 def _joined(parts: Sequence[_Part], alone: Sequence[ChannelFit]) -> ChannelFit:

@@ -187,13 +187,18 @@ class Slice:
     total_r_sd: dict[str, float] = field(default_factory=dict)
     material: str | None = None
     g: float | None = None
+    eta_sd: float | None = None
+    g_sd: float | None = None
+    view_angle_sd_deg: float | None = None
     spot_radius_mm: float | None = None
     spot_radius_sd_mm: float | None = None
     lost_fraction: dict[str, float] | None = None
-    scale_rel_sd: float = 0.0
+    scale_rel_sd: float | None = None
     """Relative error common to the curve and the total."""
-    mm_rel_sd: float = 0.0
+    mm_rel_sd: float | None = None
     """Relative error of the length scale."""
+    shared_errors: str | None = None
+    """Slices with the same text share the errors of scale and length, as those against one tile do."""
     flags: tuple[str, ...] = ()
     """What measuring found fault with; from the documented list."""
     provenance: dict[str, Any] = field(default_factory=dict)

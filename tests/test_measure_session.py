@@ -126,7 +126,7 @@ def test_stated_errors_are_those_of_repeated_sessions(tmp_path):
             total.append((measured.total_r[channel] / (np.pi * 0.25) - 1) / measured.total_r_sd[channel] * np.pi * 0.25)
             truth = true_rd(part, inside)
             clear = part.sd_per_mm2 < 0.1 * truth
-            sd = np.hypot(part.sd_per_mm2, measured.scale_rel_sd * truth)
+            sd = np.hypot(part.sd_per_mm2, (measured.scale_rel_sd or 0.0) * truth)
             curve.append(((part.rd_per_mm2 - truth) / sd)[clear])
     assert abs(np.mean(total)) < 0.7
     assert 0.6 < np.std(total) < 1.4
