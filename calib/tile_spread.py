@@ -15,6 +15,8 @@ from scipy.interpolate import PchipInterpolator
 from scipy.optimize import least_squares
 from scipy.special import ive
 
+from bssrdf.transport.exit_radiance import boundary_a
+
 Array = NDArray[np.float64]
 
 _ETA = 1.35
@@ -77,9 +79,7 @@ def beam_radius(
 
 def beyond(r_mfp: Array, view_angle_deg: float) -> Array:
     """Share of a thin beam's light that leaves a tile farther from the beam than each radius [mean free paths]."""
-    from bssrdf.transport.fresnel import boundary_a  # JAX: not in memory while frames are merged
-
-    a = float(boundary_a(_ETA))
+    a = boundary_a(_ETA)
     cosine = np.sqrt(1 - (np.sin(np.radians(view_angle_deg)) / _ETA) ** 2)
     share = np.zeros_like(r_mfp)
     for depth, weight in zip(_MEAN_DEPTH * _DEPTHS, _DEPTH_WEIGHTS, strict=True):

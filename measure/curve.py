@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -36,6 +37,12 @@ _DISAGREE_REL = 0.02
 _DISAGREE_PER_SINE = 0.6
 """Light runs outwards: across the view less is seen than on average, by up to this times the squared sine inside."""
 _LEAST_BINS = 10
+_REFLECTANCE_REL_SD = 0.01
+"""Of a tile whose certificate is not at hand: batches of sintered PTFE differ by about as much, and age more."""
+_SCALE_REL_SD = 0.005
+"""Of a scale read off a ruler in the picture: half a millimetre in a hundred."""
+_VIEW_ANGLE_SD_DEG = 1.0
+"""Of an angle set by eye and protractor."""
 
 
 @dataclass(frozen=True)
@@ -110,6 +117,8 @@ def measure_slice(
             "glare": not options.glare and glare_is_evident(sample, beam, around, back, per_light),
         }
         flags += [flag for flag, is_raised in raised.items() if is_raised]
+    tile_rel_sd, mm_rel_sd, view_angle_sd_deg, assumed = stated_errors(tile, geometry)
+    flags += assumed
     if not channels:
         raise InputError(f"{reference.name}: every channel is saturated at the spot; add shorter exposures")
     return Slice(
@@ -118,6 +127,7 @@ def measure_slice(
         flux="incident",
         exit="fresnel",
         view_angle_deg=geometry.view_angle_deg,
+        view_angle_sd_deg=view_angle_sd_deg,
         azimuth="mean" if options.radial else "perpendicular",
         band_mm=None if options.radial else band_mm,
         incidence_deg=session.beam.incidence_deg,
@@ -128,8 +138,8 @@ def measure_slice(
         spot_radius_mm=radius.value,
         spot_radius_sd_mm=radius.sd or None,
         lost_fraction=lost,
-        scale_rel_sd=float(np.hypot(max(scale_rel_sd), _tile_rel_sd(tile))),
-        mm_rel_sd=geometry.mm_per_px_rel_sd,
+        scale_rel_sd=float(np.hypot(max(scale_rel_sd), tile_rel_sd)),
+        mm_rel_sd=mm_rel_sd,
         flags=tuple(dict.fromkeys(flags)),
     )
 
@@ -203,8 +213,27 @@ def reflectance_of(tile: Reference, channel: str, session: Session, image: Image
     )
 
 
-def _tile_rel_sd(tile: Reference) -> float:
-    """Largest relative error of the tile's reflectance over the channels."""
-    if tile.reflectance_sd is None:
-        return 0.0
-    return max(sd / value for sd, value in zip(tile.reflectance_sd, tile.reflectance, strict=True))
+class StatedErrors(NamedTuple):
+    """Errors that no picture tells: as session.toml states them, else as assumed, with the flags that say so."""
+
+    tile_rel_sd: float
+    """Largest over the channels."""
+    mm_rel_sd: float
+    view_angle_sd_deg: float
+    flags: list[str]
+
+
+def stated_errors(tile: Reference, geometry: Geometry) -> StatedErrors:
+    """The errors of tile, scale and view angle."""
+    tile_rel_sd = None
+    if tile.reflectance_sd is not None:
+        tile_rel_sd = max(sd / value for sd, value in zip(tile.reflectance_sd, tile.reflectance, strict=True))
+    stated = (tile_rel_sd, geometry.mm_per_px_rel_sd, geometry.view_angle_sd_deg)
+    usual = (_REFLECTANCE_REL_SD, _SCALE_REL_SD, _VIEW_ANGLE_SD_DEG)
+    raised = {
+        "reflectance_sd_assumed": stated[0] is None,
+        "scale_sd_assumed": stated[1] is None,
+        "view_angle_sd_assumed": stated[2] is None,
+    }
+    of_tile, of_mm, of_angle = (b if a is None else a for a, b in zip(stated, usual, strict=True))
+    return StatedErrors(of_tile, of_mm, of_angle, [flag for flag, is_raised in raised.items() if is_raised])

@@ -14,8 +14,11 @@ MEANING = {
     "moved": "The picture moved between exposures.",
     "nonlinear": "The camera's response bends: longer exposures do not give proportional values.",
     "not_linear": "The frames are not linear (JPEG, video): their response curve was fitted, good to percents at best.",
+    "reflectance_sd_assumed": "session.toml does not state reflectance_sd: 1 % of the reflectance was assumed.",
     "saturated": "Pixels are saturated even in the shortest exposure: they were left out.",
+    "scale_sd_assumed": "session.toml does not state mm_per_px_rel_sd: 0.5 % was assumed.",
     "second_spot": "There is a second bright spot in the picture.",
     "slice_radial_disagree": "The slice and the average over all directions differ by more than their errors.",
     "speckle": "A laser makes speckle: the error of the total is larger than the noise says.",
+    "view_angle_sd_assumed": "session.toml does not state view_angle_sd_deg: 1 degree was assumed.",
 }

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
+from hashlib import sha256
 from typing import Any
 
 import bssrdf
@@ -81,7 +82,12 @@ def measure_session(
         exposures = learnt.exposures if learnt else solve_exposures([], [])
         sample, reference = (_image(kind, images, camera, session) for kind in _KINDS)
         curve = measure_slice(session, sample, reference, timing, exposures, Options(radial, glare, band_mm))
-        curve = replace(curve, flags=tuple(dict.fromkeys((*flags, *curve.flags))), provenance=provenance)
+        curve = replace(
+            curve,
+            flags=tuple(dict.fromkeys((*flags, *curve.flags))),
+            shared_errors=_of_reference(frames, hashes),
+            provenance=provenance,
+        )
     measured = Measured(images, provenance, curve)
     _write(session, measured)
     return measured
@@ -100,6 +106,12 @@ def _without_duplicates(frames: Sequence[Frame], hashes: Mapping[str, str]) -> t
     kept = {(frame.kind, frame.exposure_s, hashes[frame.file]): frame for frame in reversed(frames)}
     unique = [frame for frame in frames if frame.kind.endswith("dark") or frame in kept.values()]
     return unique, ["duplicate_frame"] if len(unique) < len(frames) else []
+
+
+def _of_reference(frames: Sequence[Frame], hashes: Mapping[str, str]) -> str:
+    """A text that sessions measured against one reference have in common: a digest of its frames, in any order."""
+    own = sorted(hashes[frame.file] for frame in frames if frame.kind in ("reference", "reference_hdr"))
+    return f"reference {sha256(''.join(own).encode()).hexdigest()[:16]}"
 
 
 def _merge_all(

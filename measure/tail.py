@@ -18,7 +18,7 @@ from scipy.optimize import brentq, least_squares
 from bssrdf.measure.profile import Profile
 from bssrdf.session.records import Array
 from bssrdf.transport.discrete_ordinates import decay_constant, half_space
-from bssrdf.transport.exit_radiance import transmittance
+from bssrdf.transport.exit_radiance import boundary_a, transmittance
 
 _INNER_SHARE = 0.35
 """The fit begins at this share of the distance from the beam to the nearest edge of the frame."""
@@ -48,10 +48,8 @@ class Surroundings(NamedTuple):
     incidence_deg: float
 
     def boundary(self) -> Boundary:
-        from bssrdf.transport.fresnel import boundary_a  # JAX: not in memory while frames are merged
-
         inside = np.sin(np.radians(self.view_angle_deg)) / self.eta
-        return Boundary(float(boundary_a(self.eta)), float(np.sqrt(1 - inside**2)))
+        return Boundary(boundary_a(self.eta), float(np.sqrt(1 - inside**2)))
 
     def attenuation(self, total: float) -> float:
         """σtr times the mean free path of the half space whose total, as this camera sees it, is `total`."""

@@ -76,11 +76,14 @@ class Geometry:
     mm_per_px: float | None = None
     homography: tuple[tuple[float, float, float], ...] | None = None
     """3×3, pixel (x, y, 1) to mm in the surface."""
-    mm_per_px_rel_sd: float = 0.0
+    mm_per_px_rel_sd: float | None = None
+    """None: not stated."""
     distance_mm: float = 300.0
     """From the lens to the surface; for the speckle of a laser."""
     view_angle_deg: float = 45.0
     """Camera against the surface normal."""
+    view_angle_sd_deg: float | None = None
+    """None: not stated."""
     view_axis: Literal["x", "y"] = "y"
     """Image axis that the view foreshortens; the slice is perpendicular to it."""
 

@@ -78,6 +78,7 @@ TABLES: dict[str, tuple[type, dict[str, Check]]] = {
             "mm_per_px_rel_sd": number(at_least=0, below=1),
             "distance_mm": _POSITIVE,
             "view_angle_deg": _ANGLE,
+            "view_angle_sd_deg": _NOT_NEGATIVE,
             "view_axis": choice("x", "y"),
         },
     ),

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import quad
 
-from bssrdf.transport import fresnel
+from bssrdf.transport import exit_radiance, fresnel
 
 ETAS = (0.7, 1.0001, 1.01, 1.1, 1.3, 1.5, 2.0, 3.0)
 
@@ -105,3 +105,8 @@ def test_arrays_and_single_precision_agree_with_scalars() -> None:
     single = fresnel.boundary_a(etas.astype(jnp.float32))
     assert single.dtype == jnp.float32
     np.testing.assert_allclose(single.ravel(), one_by_one, rtol=1e-5)
+
+
+@pytest.mark.parametrize("eta", [1.0, 1.001, 1.33, 1.5, 2.0])
+def test_the_boundary_by_reciprocity_is_that_of_the_average_from_inside(eta):
+    assert exit_radiance.boundary_a(eta) == pytest.approx(float(fresnel.boundary_a(eta, exact=True)), rel=1e-6)

@@ -14,6 +14,7 @@ from bssrdf.measure.session import measure_session
 from bssrdf.session.frames_csv import read_frames, write_frames
 from bssrdf.session.hdr_exr import write_hdr_exr
 from bssrdf.session.records import Beam, Camera, Frame, Geometry, Material, Reference, Session
+from bssrdf.session.slice_csv import read_slice
 
 EXPOSURES_S = [0.001 * 3**k for k in range(8)]
 BLACK, WHITE, GAIN, READ_NOISE_E = 500, 16383, 2.0, 3.0
@@ -71,9 +72,9 @@ class Bench:
             path,
             Camera("mono", BLACK, WHITE),
             Material("wax", 1.4),
-            Geometry(MM_PER_PX, view_angle_deg=VIEW_DEG),
+            Geometry(MM_PER_PX, view_angle_deg=VIEW_DEG, view_angle_sd_deg=0.2, mm_per_px_rel_sd=0.001),
             Beam(**beam),
-            Reference("tile", (RHO,)),
+            Reference("tile", (RHO,), (0.0,)),
         )
 
 
@@ -249,3 +250,23 @@ def test_a_flat_field_takes_vignetting_out(tmp_path):
     bright = (part.r_mm > 0.3) & (part.r_mm < 3.0)
     truth = RHO * gaussians(part.r_mm) / (np.pi * 0.8 * 0.6**2)
     assert np.sqrt(np.mean((part.rd_per_mm2 / truth - 1)[bright] ** 2)) < 0.04
+
+
+def test_errors_that_are_not_stated_are_assumed_flagged_and_never_zero(plain):
+    session, measured = plain
+    assert measured.slice.mm_rel_sd == 0.001
+    bare = replace(session, geometry=Geometry(MM_PER_PX, view_angle_deg=VIEW_DEG), reference=Reference("tile", (RHO,)))
+    curve = measure_session(bare).slice
+    assert set(curve.flags) == {"reflectance_sd_assumed", "scale_sd_assumed", "view_angle_sd_assumed"}
+    assert (curve.mm_rel_sd, curve.view_angle_sd_deg) == (0.005, 1.0)
+    assert curve.scale_rel_sd == pytest.approx(np.hypot(measured.slice.scale_rel_sd, 0.01))
+
+
+def test_sessions_against_one_reference_name_the_errors_they_share(plain, tmp_path):
+    own, twin, other = (Bench(seed).write(tmp_path / str(number)) for number, seed in enumerate((0, 1, 2)))
+    for frame in read_frames(own.path):
+        if frame.kind == "reference":
+            (twin.path / frame.file).write_bytes((own.path / frame.file).read_bytes())
+    shared = [measure_session(session).slice.shared_errors for session in (own, twin, other)]
+    assert shared[0] == shared[1] != shared[2]
+    assert read_slice(own.path / "measured/slice.csv").shared_errors == shared[0]

@@ -80,7 +80,7 @@ def write_session(path: Path, light: SeenLight, seed: int) -> Session:
         path,
         Camera("mono", BLACK, WHITE),
         Material("Marble", ETA),
-        Geometry(MM_PER_PX, view_angle_deg=VIEW_DEG),
+        Geometry(MM_PER_PX, view_angle_deg=VIEW_DEG, view_angle_sd_deg=0.2, mm_per_px_rel_sd=0.001),
         Beam(channels=("G",), spot_radius_mm=SPOT_MM),
         Reference("tile", (RHO,)),
     )

@@ -63,9 +63,9 @@ def write_session(
         path,
         Camera(layout, BLACK, WHITE, GAIN, READ_NOISE_E),
         Material("wax", 1.4),
-        Geometry(MM_PER_PX, view_angle_deg=VIEW_DEG),
+        Geometry(MM_PER_PX, view_angle_deg=VIEW_DEG, view_angle_sd_deg=0.2, mm_per_px_rel_sd=0.001),
         Beam(channels=("633nm",) if layout == "mono" else None),
-        Reference("tile", (RHO,), None if sd is None else (sd,)),
+        Reference("tile", (RHO,), (sd,)),
     )
 
 
@@ -121,7 +121,7 @@ def test_stated_errors_are_those_of_repeated_sessions(tmp_path):
 
     total, curve = [], []
     for seed in range(8):
-        measured = measure_session(write_session(tmp_path / str(seed), seed=seed, sample=inside, sd=None)).slice
+        measured = measure_session(write_session(tmp_path / str(seed), seed=seed, sample=inside, sd=0.0)).slice
         for channel, part in measured.channels.items():
             total.append((measured.total_r[channel] / (np.pi * 0.25) - 1) / measured.total_r_sd[channel] * np.pi * 0.25)
             truth = true_rd(part, inside)
@@ -137,7 +137,7 @@ def test_stated_errors_are_those_of_repeated_sessions(tmp_path):
 def test_a_dim_beam_widens_the_error_of_the_curves_scale(tmp_path):
     bright = 0.3 * (WHITE - BLACK) * GAIN / EXPOSURES_S[0]
     curves = [
-        measure_session(write_session(tmp_path / f"{share:g}", e_per_s=share * bright, sd=None)).slice
+        measure_session(write_session(tmp_path / f"{share:g}", e_per_s=share * bright, sd=0.0)).slice
         for share in (1, 1e-5)
     ]
     assert curves[1].scale_rel_sd > 3 * curves[0].scale_rel_sd
@@ -226,7 +226,7 @@ def test_a_spot_narrower_than_the_mosaic_widens_the_error_of_red_and_blue(tmp_pa
     def narrow(r_mm):
         return 5.0 * np.exp(-((r_mm / 0.06) ** 2)) + 0.05 * np.exp(-(r_mm**2))
 
-    curve = measure_session(write_session(tmp_path / "narrow", sample=narrow, sd=None)).slice
+    curve = measure_session(write_session(tmp_path / "narrow", sample=narrow, sd=0.0)).slice
     error = {channel: abs(total / curve.total_r["G"] - 1) for channel, total in curve.total_r.items()}
     for channel in "RB":
         assert curve.total_r_sd[channel] > 3 * curve.total_r_sd["G"]

@@ -22,6 +22,7 @@ _REPLY_S = 0.3
 SCALE_REL_SD = 0.002
 TILE_SD = 0.001
 """What rig.toml states as the errors of the scale, relative, and of the tile's reflectance."""
+VIEW_ANGLE_SD_DEG = 0.2
 _OVERHEAD_S = 2.0
 _WATCHDOG_S = 1.5
 """Of our time, however fast the bench runs."""
@@ -97,11 +98,11 @@ class SimulatedBench:
             beam = {"driver": "scpi", **serial}
         view = scene.view
         geometry: dict[str, Any] = {"view_angle_deg": view.view_angle_deg, "view_axis": view.view_axis}
+        geometry |= {"view_angle_sd_deg": VIEW_ANGLE_SD_DEG, "mm_per_px_rel_sd": SCALE_REL_SD}
         if scene.perspective:
             geometry["homography"] = view.homography().tolist()
         else:
             geometry["mm_per_px"] = view.mm_per_px * (1 + scene.scale_error)
-            geometry["mm_per_px_rel_sd"] = SCALE_REL_SD
         tables = {
             "shutter": shutter,
             "beam": {**beam, "kind": "white", "spot_radius_mm": scene.spot_radius_mm},
