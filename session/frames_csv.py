@@ -4,19 +4,20 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Iterable
-from dataclasses import astuple, fields
+from collections.abc import Callable, Iterable
+from dataclasses import fields
 from datetime import datetime
 from pathlib import Path
-from typing import get_args
+from typing import Any, get_args
 
 from bssrdf.errors import InputError
 from bssrdf.session.atomic import atomic_write, inside
 from bssrdf.session.checks import read_text, shown
 from bssrdf.session.csv_table import csv_text, parse_csv
-from bssrdf.session.records import Frame, FrameKind
+from bssrdf.session.records import Card, Frame, FrameKind
 
-COLUMNS = tuple(field.name for field in fields(Frame))
+_CARD = tuple(field.name for field in fields(Card))
+COLUMNS = (*(field.name for field in fields(Frame) if field.name != "card"), *_CARD)
 KINDS: tuple[str, ...] = get_args(FrameKind)
 SAME_EXPOSURE = 1e-3
 """Relative difference up to which a dark has its frame's exposure."""
@@ -118,40 +119,82 @@ def _frame(file: Path, line: int, fields_of_row: dict[str, str]) -> Frame:
     kind = values["kind"]
     if kind not in KINDS:
         raise InputError(f"{where}kind {shown(kind)} is not known; it must be one of {', '.join(KINDS)}")
-    measured = values.get("exposure_measured_s")
+    optional = {name: _read(where, name, values[name]) for name in _READERS if values.get(name)}
     return Frame(
         file=values["file"],
         kind=kind,  # type: ignore[arg-type]  # one of FrameKind, as checked above
-        exposure_s=_exposure(where, "exposure_s", values["exposure_s"]),
-        exposure_measured_s=_exposure(where, "exposure_measured_s", measured) if measured else None,
-        utc=_utc(where, values.get("utc")),
-        sha256=_sha256(where, values.get("sha256")),
+        exposure_s=_read(where, "exposure_s", values["exposure_s"]),
+        card=Card(**{name: optional.pop(name) for name in _CARD if name in optional}),
+        **{name: value for name, value in optional.items() if name != "exposure_s"},
     )
 
 
-def _exposure(where: str, column: str, text: str) -> float:
+def _read(where: str, column: str, text: str) -> Any:
     try:
-        seconds = float(text)
+        return _READERS[column](text)
+    except ValueError as error:
+        raise InputError(f"{where}{column} {shown(text)} must be {error}") from error
+
+
+def _number(text: str, above: float, wanted: str) -> float:
+    try:
+        value = float(text)
     except ValueError:
-        seconds = math.nan
-    if not 0 < seconds < math.inf:
-        raise InputError(f"{where}{column} {shown(text)} must be a time in seconds above 0")
-    return seconds
+        value = math.nan
+    if not above < value < math.inf:
+        raise ValueError(wanted)
+    return value
 
 
-def _utc(where: str, text: str | None) -> str | None:
-    if text:
-        try:
-            datetime.fromisoformat(text)
-        except ValueError as error:
-            raise InputError(f"{where}utc {shown(text)} must be a time such as 2001-08-12T10:00:00Z") from error
-    return text or None
+def _seconds(text: str) -> float:
+    return _number(text, 0, "a time in seconds above 0")
 
 
-def _sha256(where: str, text: str | None) -> str | None:
-    if text and (len(text) != 64 or set(text) - set("0123456789abcdef")):
-        raise InputError(f"{where}sha256 {shown(text)} must be 64 hexadecimal digits")
-    return text or None
+def _positive(text: str) -> float:
+    return _number(text, 0, "a number above 0")
+
+
+def _finite(text: str) -> float:
+    return _number(text, -math.inf, "a finite number")
+
+
+def _whole(text: str) -> int:
+    if not text.isdecimal() or not int(text):
+        raise ValueError("a whole number above 0")
+    return int(text)
+
+
+def _levels(text: str) -> tuple[float, ...]:
+    if len(text.split()) not in (1, 3, 4):
+        raise ValueError("one number, or one for each place of the pattern, with spaces between them")
+    return tuple(_finite(word) for word in text.split())
+
+
+def _utc(text: str) -> str:
+    try:
+        datetime.fromisoformat(text)
+    except ValueError as error:
+        raise ValueError("a time such as 2001-08-12T10:00:00Z") from error
+    return text
+
+
+def _sha256(text: str) -> str:
+    if len(text) != 64 or set(text) - set("0123456789abcdef"):
+        raise ValueError("64 hexadecimal digits")
+    return text
+
+
+_READERS: dict[str, Callable[[str], Any]] = {
+    **dict.fromkeys(("exposure_s", "exposure_measured_s"), _seconds),
+    "utc": _utc,
+    "sha256": _sha256,
+    **dict.fromkeys(("exposure_rel_sd", "iso", "f_number", "focal_mm"), _positive),
+    **dict.fromkeys(("camera", "lens", "layout"), str),
+    **dict.fromkeys(("gain", "temperature_c"), _finite),
+    **dict.fromkeys(("bits", "width_px", "height_px", "orientation"), _whole),
+    **dict.fromkeys(("black", "white"), _levels),
+}
+"""How each column after file and kind is read; ValueError says what it must be."""
 
 
 def _header(file: Path) -> list[str]:
@@ -165,4 +208,9 @@ def _header(file: Path) -> list[str]:
 
 
 def _texts(frame: Frame) -> list[str]:
-    return ["" if value is None else str(value) for value in astuple(frame)]
+    values = [getattr(frame.card if name in _CARD else frame, name) for name in COLUMNS]
+    return [" ".join(map(str, value)) if isinstance(value, tuple) else _text(value) for value in values]
+
+
+def _text(value: Any) -> str:
+    return "" if value is None else str(value)

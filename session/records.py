@@ -144,6 +144,33 @@ class Session:
 
 
 @dataclass(frozen=True)
+class Card:
+    """What the file of a frame says of itself, None where it does not: each an optional column of frames.csv."""
+
+    camera: str | None = None
+    lens: str | None = None
+    iso: float | None = None
+    gain: float | None = None
+    """Of a machine-vision camera, in its own unit."""
+    f_number: float | None = None
+    focal_mm: float | None = None
+    temperature_c: float | None = None
+    """Of the sensor, or of the camera."""
+    layout: str | None = None
+    """As in `[camera]`."""
+    bits: int | None = None
+    """Of the numbers, where the file tells; a container may be wider."""
+    black: tuple[float, ...] | None = None
+    """[DN], one number, or four by place in the 2×2 pattern."""
+    white: tuple[float, ...] | None = None
+    """[DN], likewise."""
+    width_px: int | None = None
+    height_px: int | None = None
+    orientation: int | None = None
+    """By EXIF: how the picture is to be turned for display. The data are never turned."""
+
+
+@dataclass(frozen=True)
 class Frame:
     """One line of frames.csv."""
 
@@ -152,7 +179,11 @@ class Frame:
     exposure_s: float
     exposure_measured_s: float | None = None
     utc: str | None = None
+    """ISO 8601; without a zone it is the camera's own clock."""
     sha256: str | None = None
+    exposure_rel_sd: float | None = None
+    """Relative error of the exposure used; None: assumed by where it comes from."""
+    card: Card = Card()
 
 
 @dataclass(frozen=True)

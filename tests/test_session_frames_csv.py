@@ -12,11 +12,28 @@ from hypothesis import strategies as st
 from bssrdf.errors import InputError
 from bssrdf.session.file_names import exposure_from_name
 from bssrdf.session.frames_csv import KINDS, append_frame, dark_for, read_frames, recover_frames, write_frames
-from bssrdf.session.records import Frame
+from bssrdf.session.records import Card, Frame
 
-FULL = Frame("frames/a, b.tif", "sample", 0.1, 0.1000017, "2001-08-12T10:00:00Z", "0f" * 32)
+CARD = Card(
+    "Nikon D850", "50mm f/1.8", 100.0, 1.5, 8.0, 50.0, -5.0, "RGGB", 14, (512.0, 513.5, 512.0, 512.0), (16383.0,)
+)
+FULL = Frame("frames/a, b.tif", "sample", 0.1, 0.1000017, "2001-08-12T10:00:00Z", "0f" * 32, 0.001, CARD)
 SHORT = Frame("frames/c.tif", "sample_dark", 1 / 3)
 EXPOSURES = st.floats(1e-6, 1e4)
+NAMES = st.none() | st.text(string.ascii_letters + ' ,"/', min_size=1).map(lambda name: f"x{name}x")
+POSITIVE = st.none() | EXPOSURES
+CARDS = st.builds(
+    Card,
+    camera=NAMES,
+    lens=NAMES,
+    iso=POSITIVE,
+    gain=st.none() | st.floats(-10, 100),
+    f_number=POSITIVE,
+    temperature_c=st.none() | st.floats(-80, 80),
+    bits=st.none() | st.integers(1, 32),
+    black=st.none() | st.tuples(EXPOSURES) | st.tuples(*[EXPOSURES] * 4),
+    width_px=st.none() | st.integers(1, 10**5),
+)
 FRAMES = st.lists(
     st.builds(
         Frame,
@@ -26,6 +43,8 @@ FRAMES = st.lists(
         exposure_measured_s=st.none() | EXPOSURES,
         utc=st.none() | st.just("2001-08-12T10:00:00+00:00"),
         sha256=st.none() | st.just("ab" * 32),
+        exposure_rel_sd=POSITIVE,
+        card=CARDS,
     ),
     min_size=1,
     max_size=5,
@@ -40,6 +59,22 @@ def test_written_frames_are_read_back(tmp_path_factory: pytest.TempPathFactory, 
     write_frames(session, frames)
     assert read_frames(session, must_exist=False) == frames
     assert [file.name for file in session.iterdir()] == ["frames.csv"]
+
+
+@pytest.mark.parametrize(
+    ("column", "text", "wanted"),
+    [
+        ("iso", "auto", "a number above 0"),
+        ("exposure_rel_sd", "0", "a number above 0"),
+        ("temperature_c", "nan", "a finite number"),
+        ("bits", "12.5", "a whole number"),
+        ("black", "1 2", "one number, or one for each place"),
+    ],
+)
+def test_a_card_that_cannot_be_is_refused(tmp_path: Path, column: str, text: str, wanted: str) -> None:
+    (tmp_path / "frames.csv").write_text(f"file,kind,exposure_s,{column}\na.tif,sample,1,{text}\n")
+    with pytest.raises(InputError, match=f"line 2: {column} '{text}' must be {wanted}"):
+        read_frames(tmp_path, must_exist=False)
 
 
 def test_columns_that_no_frame_fills_are_left_out(tmp_path: Path) -> None:
