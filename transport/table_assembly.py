@@ -1,17 +1,17 @@
-"""A forward model from a table's coefficients: the exact parts added, the curve scaled to its exact total."""
+"""A forward model from a table's coefficients: the exact parts added, the curve scaled to its exact total.
+
+NumPy alone: `first_order` is `single.first_order_rd` of one medium, written once more for that reason.
+"""
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
-from bssrdf.transport.discrete_ordinates import half_space
-from bssrdf.transport.exit_radiance import DEGREE, shape_basis
-from bssrdf.transport.single import first_order_rd, first_order_total
+from bssrdf.transport.discrete_ordinates import half_spaces
+from bssrdf.transport.exit_radiance import DEGREE, shape_basis, transmittance
 from bssrdf.transport.table_grid import (
     N_U_CELLS,
     N_V_CELLS,
@@ -35,6 +35,10 @@ Floats = NDArray[np.float64]
 
 _MU_FIT = np.cos(np.radians(np.linspace(0, 80, 17)))
 _QUADRATURE = np.polynomial.legendre.leggauss(6)
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(96)
+_THETA = np.pi / 2 * ((1 + _NODES) / 2) ** 3
+"""Outside exit angles, crowded at the normal as in `single`."""
+_D_THETA = np.pi / 2 * 3 * ((1 + _NODES) / 2) ** 2 * _WEIGHTS / 2
 
 
 def assemble(eta: float, g: float, log_curve: Floats, log_curve_sd: Floats, angles: Floats) -> TableModel:
@@ -44,26 +48,23 @@ def assemble(eta: float, g: float, log_curve: Floats, log_curve_sd: Floats, angl
     """
     q = q_nodes()
     albedo = albedo_of(q, g)
-    exact = [half_space(a, g, eta, _MU_FIT) for a in albedo[1:]]
-    total = np.array([1.0, *(space.total for space in exact)])
-    with jax.enable_x64(True):
-        first_total = float(first_order_total(1.0, 0.0, g, eta))
-        first_decay = eta + np.sqrt(eta**2 - 1)
-        first = _first_order(eta, g, first_decay)
+    exact = half_spaces(albedo[1:], g, eta, _MU_FIT)
+    total = np.append(1.0, exact.total)
+    once = first_order(eta, g)
     kappa = kappa_reduced(q, g)
     integral = _integral(log_curve, kappa) * ((1 - q) * (1 + q)) ** 2
-    scale = np.log((total - albedo * first_total) / integral)
-    shapes = np.array([_exit_shape(eta, space.radiance / space.total) for space in exact])
+    scale = np.log((total - albedo * once.total) / integral)
+    shapes = _exit_shapes(eta, exact.radiance / exact.total[:, None])
     arrays: dict[str, Any] = {
         "log_curve": by_cell(log_curve + interpolating(scale, even=True)[:, None]),
         "log_curve_sd": log_curve_sd,
         "diffusion_ratio": by_cell(interpolating(_diffusion_ratio(kappa, q))),
         "log_total": by_cell(interpolating(-np.log(total / ((1 - q) * (1 + q))))),
-        "first": by_cell(interpolating(first)),
+        "first": by_cell(interpolating(once.log_light)),
         "angles": by_cell(np.swapaxes(angles, 1, 2)),
         "total_angles": by_cell(interpolating(np.concatenate([_at_conservative(shapes, q), shapes])).T),
     }
-    return TableModel(eta=eta, g=g, first_decay=first_decay, **arrays)
+    return TableModel(eta=eta, g=g, first_decay=once.decay, **arrays)
 
 
 def _diffusion_ratio(kappa: Floats, q: Floats) -> Floats:
@@ -76,11 +77,28 @@ def _at_conservative(values: Floats, q: Floats) -> Floats:
     return np.asarray(np.polynomial.polynomial.polyfit(q[1:4], values[:3], 2)[:1])
 
 
-def _first_order(eta: float, g: float, decay: float) -> Floats:
-    """ln(ρ R⁽¹⁾/(σs σt)) + decay ρ at the knots in ρ."""
+class FirstOrder(NamedTuple):
+    """Light scattered once, per σs/σt; lengths in 1/σt."""
+
+    log_light: Floats
+    """ln(ρ R⁽¹⁾) + decay ρ at the knots in ρ."""
+    decay: float
+    """η + √(η² − 1): that of the light which leaves along the surface."""
+    total: float
+    """∫ 2πρ R⁽¹⁾ dρ."""
+
+
+def first_order(eta: float, g: float) -> FirstOrder:
+    """See `single.first_order_bin_average` for the equations."""
+    inside = np.sqrt((eta - 1) * (eta + 1) + np.cos(_THETA) ** 2) / eta
+    phase = (1 - g * g) / (4 * np.pi) * (1 + g * g + 2 * g * inside) ** -1.5
+    leaving = phase * transmittance(eta, np.cos(_THETA)) * np.cos(_THETA) * _D_THETA
+    decay = eta + np.sqrt(eta**2 - 1)
     rho = RHO_ZERO * np.expm1(np.linspace(0, W_MAX, N_W_CELLS + 1))
-    rho[0] = 1e-9
-    return np.asarray(np.log(np.asarray(first_order_rd(1.0, 0.0, g, eta, jnp.asarray(rho))) * rho) + decay * rho)
+    excess = eta * (1 + inside) / np.sin(_THETA) - decay
+    light = np.exp(-excess * rho[:, None]) @ leaving / eta
+    total = 2 * np.pi * np.sum(leaving * np.sin(_THETA) / (1 + inside)) / eta**2
+    return FirstOrder(np.log(light), float(decay), float(total))
 
 
 def _integral(log_curve: Floats, kappa: Floats) -> Floats:
@@ -95,9 +113,9 @@ def _integral(log_curve: Floats, kappa: Floats) -> Floats:
     return 2 * np.pi * (within @ (dv * r * (r + R_ZERO)) + edge * R_MAX**2)
 
 
-def _exit_shape(eta: float, factor: Floats) -> Floats:
-    """Coefficients, (DEGREE + 1,), of the radiance factors given at `_MU_FIT`."""
-    return np.asarray(np.linalg.lstsq(shape_basis(eta, _MU_FIT), factor, rcond=None)[0])
+def _exit_shapes(eta: float, factors: Floats) -> Floats:
+    """Coefficients, (n, DEGREE + 1), of the radiance factors (n, …) given at `_MU_FIT`."""
+    return np.asarray(np.linalg.lstsq(shape_basis(eta, _MU_FIT), factors.T, rcond=None)[0].T)
 
 
 assert _MU_FIT.size > DEGREE + 1

@@ -75,14 +75,14 @@ def _own(
     directory: Path | None,
     core_seconds: float,
 ) -> TableModel:
-    from bssrdf.transport.table_fit import fit_tables
-    from bssrdf.transport.white_samples import sample
-
     folder = directory or cache_directory()
     path = folder / f"white-eta{eta!r}-g{g!r}.npz"
     if not path.exists():
         if announce is not None:
             announce(seconds_to_make(core_seconds))
+        from bssrdf.transport.table_fit import fit_tables
+        from bssrdf.transport.white_samples import sample
+
         samples = sample(g, np.array([eta]), core_seconds, seed=SEED, progress=progress)
         folder.mkdir(parents=True, exist_ok=True)
         write_tables(path, table_set({(g, eta): fit_tables(samples)[0]}))

@@ -27,7 +27,7 @@ from bssrdf.transport.table_grid import (
     R_ZERO,
     U_MAX,
     V_MAX,
-    basis,
+    cubic_weights,
     kappa_reduced,
     log_decay,
     q_nodes,
@@ -80,8 +80,8 @@ def _fit(samples: WhiteSamples, e: int) -> FittedTable:
     lo, hi = edges[rows, bins], edges[rows, bins + 1]
     radii = lo[:, None] + (hi - lo)[:, None] * (1 + _NODES) / 2
     known = log_decay(kappa_reduced(q, samples.g)[rows][:, None] * radii) + np.log(radii * _WEIGHTS)
-    along_u = basis(u_of(q)[rows], U_MAX, N_U_CELLS)
-    along_v = [basis(np.log1p(r / R_ZERO), V_MAX, N_V_CELLS) for r in radii.T]
+    along_u = _sparse_basis(u_of(q)[rows], U_MAX, N_U_CELLS)
+    along_v = [_sparse_basis(np.log1p(r / R_ZERO), V_MAX, N_V_CELLS) for r in radii.T]
     at_radii = [_row_kron(along_u, b) for b in along_v]
     target = np.log(mean[rows, bins] * (hi**2 - lo**2) / (hi - lo))
     weight = 1 / relative[rows, bins]
@@ -100,8 +100,8 @@ def _fit(samples: WhiteSamples, e: int) -> FittedTable:
     chi2 = float(np.mean((weight * (residual - design @ coefficients)) ** 2))
     shape = (N_U_CELLS + 3, N_V_CELLS + 3)
     knots = _row_kron(
-        basis(np.repeat(u_of(q), N_V_CELLS + 1), U_MAX, N_U_CELLS),
-        basis(np.tile(np.linspace(0, V_MAX, N_V_CELLS + 1), N_Q), V_MAX, N_V_CELLS),
+        _sparse_basis(np.repeat(u_of(q), N_V_CELLS + 1), U_MAX, N_U_CELLS),
+        _sparse_basis(np.tile(np.linspace(0, V_MAX, N_V_CELLS + 1), N_Q), V_MAX, N_V_CELLS),
     )
     variance = np.einsum("ij,ji->i", knots @ np.eye(knots.shape[1]), cho_solve(factor, knots.T.toarray()))
     sd = np.sqrt(variance).reshape(N_Q, N_V_CELLS + 1)
@@ -116,6 +116,13 @@ def _smooth_error(se: Floats, value: Floats) -> Floats:
     padded = np.pad(relative, ((0, 0), (2, 2)), mode="edge")
     around = np.lib.stride_tricks.sliding_window_view(padded, 5, axis=1)
     return np.maximum(relative, np.median(around, axis=-1))
+
+
+def _sparse_basis(x: Floats, x_max: float, n_cells: int) -> sparse.csr_array:
+    """The B-splines' values at x, shape (n, n_cells + 3), four a row."""
+    cell, weights = cubic_weights(x, x_max, n_cells)
+    columns = cell[:, None] + np.arange(4)
+    return sparse.csr_array((weights.ravel(), columns.ravel(), np.arange(0, 4 * x.size + 1, 4)), (x.size, n_cells + 3))
 
 
 def _row_kron(a: sparse.csr_array, b: sparse.csr_array) -> sparse.csr_array:
@@ -166,8 +173,8 @@ def _smooth_coefficients(
     errors = np.sqrt(error**2 @ (to_coefficients.T**2))
     rows, bins = np.nonzero(lit & (errors[..., 0] < MAX_RELATIVE_ERROR))
     design = _row_kron(
-        basis(u_of(q_nodes())[rows], U_MAX, N_U_COARSE),
-        basis(np.log1p(middle[rows, bins] / R_ZERO), V_MAX, N_V_COARSE),
+        _sparse_basis(u_of(q_nodes())[rows], U_MAX, N_U_COARSE),
+        _sparse_basis(np.log1p(middle[rows, bins] / R_ZERO), V_MAX, N_V_COARSE),
     )
     n_u, n_v = N_U_COARSE + 3, N_V_COARSE + 3
     second_u, second_v = np.diff(np.eye(n_u), 2, axis=0), np.diff(np.eye(n_v), 2, axis=0)

@@ -8,10 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import sparse
-from scipy.interpolate import BSpline
 
-from bssrdf.transport.discrete_ordinates import decay_constant
+from bssrdf.transport.discrete_ordinates import decay_constants
 
 Floats = NDArray[np.float64]
 
@@ -60,7 +58,7 @@ def albedo_of(q: Floats, g: float) -> Floats:
 def kappa_reduced(q: Floats, g: float) -> Floats:
     """Exact decay constant κ of light far from its source, in σt′."""
     albedo = albedo_of(q, g)
-    return np.array([decay_constant(a, g) for a in albedo]) / (1 - albedo * g)
+    return decay_constants(albedo, g) / (1 - albedo * g)
 
 
 def log_decay(kappa_r: Floats) -> Floats:
@@ -68,10 +66,21 @@ def log_decay(kappa_r: Floats) -> Floats:
     return np.log1p(kappa_r) - kappa_r
 
 
-def basis(x: Floats, x_max: float, n_cells: int) -> sparse.csr_array:
-    """The B-splines' values, shape (n, n_cells + 3), four a row."""
-    knots = np.arange(-3, n_cells + 4) * (x_max / n_cells)
-    return sparse.csr_array(BSpline.design_matrix(np.clip(x, 0, x_max), knots, 3))
+def cubic_weights(x: Floats, x_max: float, n_cells: int) -> tuple[NDArray[np.int64], Floats]:
+    """The first of the four B-splines that are not 0 at each x, and their values there, shape (n, 4)."""
+    t = np.clip(x, 0, x_max) * (n_cells / x_max)
+    cell = np.minimum(t.astype(np.int64), n_cells - 1)
+    f = t - cell
+    e = 1 - f
+    return cell, np.stack([e**3 / 6, 2 / 3 - f * f * (1 - f / 2), 2 / 3 - e * e * (1 - e / 2), f**3 / 6], axis=-1)
+
+
+def basis(x: Floats, x_max: float, n_cells: int) -> Floats:
+    """The B-splines' values, shape (n, n_cells + 3)."""
+    cell, weights = cubic_weights(x, x_max, n_cells)
+    values = np.zeros((x.size, n_cells + 3))
+    np.put_along_axis(values, cell[:, None] + np.arange(4), weights, axis=1)
+    return values
 
 
 def interpolating(values: Floats, *, even: bool = False) -> Floats:
@@ -80,7 +89,7 @@ def interpolating(values: Floats, *, even: bool = False) -> Floats:
     `even`: with zero slope at 0 instead.
     """
     n_cells = values.shape[0] - 1
-    through = basis(np.arange(n_cells + 1.0), float(n_cells), n_cells).toarray()
+    through = basis(np.arange(n_cells + 1.0), float(n_cells), n_cells)
     fourth = np.diff(np.eye(n_cells + 3), 4, axis=0)
     start = fourth[0]
     if even:

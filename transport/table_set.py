@@ -10,6 +10,7 @@ from typing import IO, TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
 
 from bssrdf.errors import InputError
 from bssrdf.transport.table_assembly import assemble
@@ -40,6 +41,7 @@ class TableSet(NamedTuple):
         """Whether (eta, g) lies on or between the nodes."""
         return bool(self.etas[0] <= eta <= self.etas[-1] and self.gs[0] <= g <= self.gs[-1])
 
+    @threadpool_limits.wrap(limits=1, user_api="blas")
     def model(self, eta: float, g: float) -> TableModel:
         """The model at (eta, g), by cubic interpolation of ln R; at a node it is that table itself."""
         if not self.covers(eta, g):

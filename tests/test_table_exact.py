@@ -1,0 +1,73 @@
+"""The exact parts of a table: NumPy alone, at once, and equal to what other methods give."""
+
+import subprocess
+import sys
+import time
+
+import jax
+import numpy as np
+import pytest
+from scipy.linalg import eigvalsh_tridiagonal
+
+from bssrdf.transport.discrete_ordinates import N_MOMENTS, decay_constants, half_spaces
+from bssrdf.transport.single import first_order_rd, first_order_total
+from bssrdf.transport.table_assembly import first_order
+from bssrdf.transport.table_cache import shipped, table_model
+from bssrdf.transport.table_grid import N_W_CELLS, RHO_ZERO, W_MAX, albedo_of, by_cell, interpolating, q_nodes
+
+SCRIPT = """
+import sys
+from bssrdf.transport.table_cache import table_model
+model = table_model(1.37, 0.13)
+assert model.log_curve.shape[1] == 4
+print(*sorted(name for name in ("jax", "scipy", "numba", "matplotlib") if name in sys.modules))
+"""
+
+
+def test_a_table_is_made_without_jax_or_scipy():
+    done = subprocess.run([sys.executable, "-c", SCRIPT], check=True, capture_output=True, text=True)
+    assert done.stdout.strip() == ""
+
+
+def test_a_table_between_the_nodes_is_ready_at_once():
+    """In processor time, so that threads that wait for each other count; 0.05 s on the machine this was written on."""
+    table_model(1.3, 0.0)
+    start = time.process_time()
+    shipped().model(1.36, 0.42)
+    assert time.process_time() - start < 0.5
+
+
+@pytest.mark.parametrize("g", [-0.7, 0.0, 0.8, 0.95])
+def test_decay_constants_are_the_largest_eigenvalues(g):
+    albedo = albedo_of(q_nodes(), g)
+    order = np.arange(N_MOMENTS)
+    for a, kappa in zip(albedo[1::6], decay_constants(albedo, g)[1::6], strict=True):
+        h = (2 * order + 1) * (1 - a * g**order)
+        coupling = order[1:] / np.sqrt(h[:-1] * h[1:])
+        [largest] = eigvalsh_tridiagonal(np.zeros(N_MOMENTS), coupling, select="i", select_range=(N_MOMENTS - 1,) * 2)
+        assert kappa == pytest.approx(min(1, 1 / largest), rel=1e-12)
+
+
+@pytest.mark.parametrize(("eta", "g"), [(1.0, 0.0), (1.3, 0.8), (1.5, -0.5), (3.0, 0.95)])
+def test_light_scattered_once_is_the_same_with_and_without_jax(eta, g):
+    once = first_order(eta, g)
+    rho = RHO_ZERO * np.expm1(np.linspace(0, W_MAX, N_W_CELLS + 1))[1:60]
+    with jax.enable_x64(True):
+        light = np.asarray(first_order_rd(1.0, 0.0, g, eta, rho))
+        total = float(first_order_total(1.0, 0.0, g, eta))
+    assert np.log(light * rho) + once.decay * rho == pytest.approx(once.log_light[1:60], abs=1e-11)
+    assert once.total == pytest.approx(total, rel=1e-12)
+
+
+def test_half_spaces_agree_with_their_own_limit_of_many_ordinates():
+    albedo = np.array([0.05, 0.9, 0.9999])
+    few, many = (half_spaces(albedo, 0.8, 1.4, np.array([0.7]), n).total for n in (40, 64))
+    assert few == pytest.approx(many, rel=5e-5)
+
+
+def test_splines_go_through_their_values_and_on_as_cubics():
+    knots = np.arange(13.0)
+    cells = by_cell(interpolating(knots**3 - 5 * knots))
+    middle = cells[:, 5] @ 0.5 ** np.arange(4)
+    assert middle == pytest.approx(5.5**3 - 5 * 5.5)
+    assert cells[0] == pytest.approx((knots**3 - 5 * knots)[:-1])
