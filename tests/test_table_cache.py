@@ -11,7 +11,7 @@ from bssrdf.errors import InputError
 from bssrdf.transport import table_cache
 from bssrdf.transport.dipole import Medium
 from bssrdf.transport.discrete_ordinates import half_space
-from bssrdf.transport.table_cache import table_model
+from bssrdf.transport.table_cache import allowed, nearest, place, shipped, table_model
 from bssrdf.transport.table_set import TableSet, read_tables, write_tables
 
 
@@ -124,3 +124,40 @@ def test_media_without_a_table_are_refused_by_value(eta, g, message, tmp_path):
     with pytest.raises(InputError, match=message):
         table_model(eta, g, directory=tmp_path)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_table_is_placed_where_table_model_would_take_it_from(made, folder, tmp_path):
+    assert place(1.37, 0.5).origin == "shipped"
+    assert place(1.6, 0.2, directory=folder) == ("cached", 1.6, 0.2, 0.0, False)
+    elsewhere = place(1.6, 0.2, directory=tmp_path)
+    assert (elsewhere.origin, elsewhere.seconds) == ("made", table_cache.seconds_to_make())
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(("g", "taken"), [(0.97, 0.95), (0.95, 0.95), (-0.97, -0.9)])
+def test_g_is_drawn_into_the_range_of_the_tables_and_says_so(g, taken, tmp_path):
+    found = place(1.4, g, directory=tmp_path)
+    assert (found.g, found.g_clamped) == (taken, g != taken)
+
+
+def test_a_policy_lets_through_what_it_names(made, folder, tmp_path):
+    places = [place(1.4, 0.5), place(1.6, 0.2, directory=folder), place(1.6, 0.2, directory=tmp_path)]
+    assert [[allowed(found, policy) for found in places] for policy in ("shipped", "cached", "make")] == [
+        [True, False, False],
+        [True, True, False],
+        [True, True, True],
+    ]
+
+
+def test_the_nearest_table_is_a_shipped_one_or_one_made_before(made, folder, tmp_path):
+    assert nearest(1.4, 0.5, directory=tmp_path) == (1.4, 0.5, True)
+    assert nearest(1.62, 0.25, directory=folder) == (1.6, 0.2, True)
+    assert nearest(1.62, 0.25, directory=folder, policy="shipped")[:2] != (1.6, 0.2)
+
+
+def test_beyond_a_fifth_in_eta_or_three_tenths_in_g_no_table_is_near(tmp_path):
+    last = max(tables.etas[-1] for tables in table_cache._shipped_sets())
+    assert nearest(last + 0.19, 0.5, directory=tmp_path).near
+    assert not nearest(last + 0.21, 0.5, directory=tmp_path).near
+    assert nearest(1.4, shipped().gs[0] - 0.29, directory=tmp_path).near
+    assert not nearest(1.4, shipped().gs[0] - 0.31, directory=tmp_path).near

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import functools
 import os
+import re
 from collections.abc import Callable
 from importlib.resources import as_file, files
 from pathlib import Path
+from typing import Literal, NamedTuple
 
 import numpy as np
 import platformdirs
@@ -21,13 +23,40 @@ G_RANGE = (-0.9, 0.95)
 CORE_SECONDS = 300.0
 """Processor time spent on a table made on demand: errors of the curve near 0.5 %."""
 SEED = 1
+Origin = Literal["shipped", "cached", "made"]
+Policy = Literal["make", "cached", "shipped"]
+"""Tables that may be used: all, those at hand, or those that come with the package."""
+ETA_APART = 0.2
+G_APART = 0.3
+"""How far a table may be from a medium and still say how wrong the dipole is there."""
+_NAME = re.compile(r"white-eta(?P<eta>[\d.]+)-g(?P<g>-?[\d.]+)\.npz")
+
+
+class Place(NamedTuple):
+    """Where the table of a medium comes from."""
+
+    origin: Origin
+    eta: float
+    g: float
+    """Of the table: the nearest in G_RANGE."""
+    seconds: float
+    """That it takes about to make it; 0 where it is there."""
+    g_clamped: bool
+
+
+class Nearest(NamedTuple):
+    """The medium nearest to another for which a table is at hand."""
+
+    eta: float
+    g: float
+    near: bool
+    """Whether what it says of a model's error can stand for the other medium."""
 
 
 @functools.cache
 def shipped() -> TableSet:
-    """The tables that come with the package."""
-    with as_file(files("bssrdf.transport") / "tables" / "white.npz") as path:
-        return read_tables(path)
+    """The tables of usual media that come with the package."""
+    return _packaged("white.npz")
 
 
 def cache_directory() -> Path:
@@ -38,6 +67,32 @@ def cache_directory() -> Path:
 def seconds_to_make(core_seconds: float = CORE_SECONDS) -> float:
     """How long `table_model` takes about when it has to make a table [s]."""
     return core_seconds / (os.cpu_count() or 1) + 15
+
+
+def place(eta: float, g: float, *, directory: Path | None = None, core_seconds: float = CORE_SECONDS) -> Place:
+    """Where the table of (eta, g) would come from, g drawn into G_RANGE; raises InputError for eta out of range."""
+    _require("eta", eta, ETA_RANGE)
+    within = min(max(g, G_RANGE[0]), G_RANGE[1])
+    if _shipped_set(eta, within) is not None:
+        origin: Origin = "shipped"
+    else:
+        origin = "cached" if _path(eta, within, directory).exists() else "made"
+    seconds = seconds_to_make(core_seconds) if origin == "made" else 0.0
+    return Place(origin, eta, within, seconds, within != g)
+
+
+def allowed(found: Place, policy: Policy) -> bool:
+    """Whether the policy lets this table be used."""
+    return {"shipped": 0, "cached": 1, "made": 2}[found.origin] <= {"shipped": 0, "cached": 1, "make": 2}[policy]
+
+
+def nearest(eta: float, g: float, *, policy: Policy = "cached", directory: Path | None = None) -> Nearest:
+    """The medium nearest to (eta, g), in steps of ETA_APART and G_APART, whose table ships or, by policy, was made."""
+    at_hand = [(float(np.clip(eta, *t.etas[[0, -1]])), float(np.clip(g, *t.gs[[0, -1]]))) for t in _shipped_sets()]
+    if policy != "shipped":
+        at_hand += _made(directory or cache_directory())
+    apart, best = min((max(abs(e - eta) / ETA_APART, abs(h - g) / G_APART), (e, h)) for e, h in at_hand)
+    return Nearest(*best, near=apart <= 1 + 1e-9)
 
 
 def table_model(
@@ -57,14 +112,40 @@ def table_model(
     """
     _require("eta", eta, ETA_RANGE)
     _require("g", g, G_RANGE)
-    return (
-        _interpolated(eta, g) if shipped().covers(eta, g) else _own(eta, g, announce, progress, directory, core_seconds)
-    )
+    if _shipped_set(eta, g) is not None:
+        return _interpolated(eta, g)
+    return _own(eta, g, announce, progress, directory, core_seconds)
 
 
 @functools.lru_cache(maxsize=32)
 def _interpolated(eta: float, g: float) -> TableModel:
-    return shipped().model(eta, g)
+    tables = _shipped_set(eta, g)
+    assert tables is not None
+    return tables.model(eta, g)
+
+
+def _shipped_sets() -> tuple[TableSet, ...]:
+    return (shipped(),)
+
+
+def _shipped_set(eta: float, g: float) -> TableSet | None:
+    """The finest shipped set that covers the medium."""
+    return next((tables for tables in _shipped_sets() if tables.covers(eta, g)), None)
+
+
+def _packaged(name: str) -> TableSet:
+    with as_file(files("bssrdf.transport") / "tables" / name) as path:
+        return read_tables(path)
+
+
+def _path(eta: float, g: float, directory: Path | None) -> Path:
+    return (directory or cache_directory()) / f"white-eta{eta!r}-g{g!r}.npz"
+
+
+def _made(folder: Path) -> list[tuple[float, float]]:
+    """Media whose own table lies in the folder."""
+    names = (_NAME.fullmatch(path.name) for path in folder.glob("white-eta*.npz"))
+    return [(float(match["eta"]), float(match["g"])) for match in names if match]
 
 
 def _own(
@@ -75,8 +156,7 @@ def _own(
     directory: Path | None,
     core_seconds: float,
 ) -> TableModel:
-    folder = directory or cache_directory()
-    path = folder / f"white-eta{eta!r}-g{g!r}.npz"
+    path = _path(eta, g, directory)
     if not path.exists():
         if announce is not None:
             announce(seconds_to_make(core_seconds))
@@ -84,7 +164,7 @@ def _own(
         from bssrdf.transport.white_samples import sample
 
         samples = sample(g, np.array([eta]), core_seconds, seed=SEED, progress=progress)
-        folder.mkdir(parents=True, exist_ok=True)
+        path.parent.mkdir(parents=True, exist_ok=True)
         write_tables(path, table_set({(g, eta): fit_tables(samples)[0]}))
     tables = read_tables(path)
     if not tables.covers(eta, g):
