@@ -12,17 +12,13 @@ from bssrdf.calib.exposures import Exposures
 from bssrdf.calib.spot import Spot
 from bssrdf.errors import InputError
 from bssrdf.measure.budget import exposure_shares, exposures_rel_sd, speckle_rel_sd
+from bssrdf.measure.image import Image, beam_on_sample, beam_on_tile, has_second_spot, locate
 from bssrdf.measure.pixels import channel_names
 from bssrdf.measure.profile import Profile
 from bssrdf.measure.reflectance import (
-    Image,
     Total,
-    beam_on_sample,
-    beam_on_tile,
     channel_slice,
     glare_is_evident,
-    has_second_spot,
-    locate,
     slice_profiles,
     total_light,
     usual_band_mm,
@@ -102,7 +98,7 @@ def measure_slice(
         channels[channel] = channel_slice(profiles, back.floor, per_light)
         lost[channel] = back.lost_fraction
         common = _common_errors(back, incident, timing, exposures)
-        if sample.pixels[channel].px_per_sample == 4:
+        if sample.px_per_sample[channel] == 4:
             common.append(sample.aliasing - reference.aliasing)
         if session.beam.kind == "laser":
             common.append(speckle_rel_sd(radius.value, channel, session))

@@ -3,32 +3,32 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
-import numpy as np
 from numpy.typing import NDArray
 
-from bssrdf.measure.merge import SATURATED, Hdr
+from bssrdf.measure.merge import Hdr, Plane
 from bssrdf.session.records import Beam
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class ChannelPixels:
-    """The pixels of one channel, arrays of shape (n,)."""
+class Grid:
+    """Pixels of one channel on a regular grid, as views of a merged image: shape (rows, columns).
 
-    x_px: Array
-    y_px: Array
-    value: Array
-    """Radiance [DN/s]."""
-    variance: Array
-    count: NDArray[np.uint8]
+    A colour that a mosaic has twice, such as green, is two grids.
+    """
+
+    radiance: Plane
+    """[DN/s]"""
+    variance: Plane
+    count: NDArray[Any]
     """Samples that were merged."""
-    good: NDArray[np.bool_]
-    """Not saturated everywhere, not hot."""
-    saturated: NDArray[np.bool_]
-    px_per_sample: float
-    """Pixels of the frame for each one of this channel: 4 for red on a Bayer mosaic."""
+    mask: NDArray[Any]
+    """0 for a good pixel."""
+    first_px: tuple[int, int]
+    """(x, y) of the first."""
+    step_px: int
+    """From one pixel to the next."""
 
 
 def channel_names(layout: str, beam: Beam) -> tuple[str, ...]:
@@ -44,31 +44,15 @@ def mosaic_period(layout: str) -> int:
     return 1 if layout in ("mono", "rgb") else 2
 
 
-def pixels_of(hdr: Hdr, layout: str, name: str) -> ChannelPixels:
+def grids_of(hdr: Hdr, layout: str, name: str) -> tuple[Grid, ...]:
     """The pixels that carry the channel `name`."""
-    height, width = hdr.radiance.shape[:2]
-    if layout == "rgb":
-        return _flat(hdr, np.ones((height, width), bool), "RGB".index(name))
     if layout == "mono":
-        return _flat(hdr, np.ones((height, width), bool))
-    carries = np.zeros((height, width), bool)
-    for place, letter in enumerate(layout):
-        row, column = divmod(place, 2)
-        carries[row::2, column::2] = letter == name
-    return _flat(hdr, carries)
+        return (_grid(hdr, ..., (0, 0), 1),)
+    if layout == "rgb":
+        return (_grid(hdr, (..., "RGB".index(name)), (0, 0), 1),)
+    places = [divmod(place, 2) for place, letter in enumerate(layout) if letter == name]
+    return tuple(_grid(hdr, (slice(row, None, 2), slice(column, None, 2)), (column, row), 2) for row, column in places)
 
 
-def _flat(hdr: Hdr, carries: NDArray[np.bool_], index: int | None = None) -> ChannelPixels:
-    where = carries if index is None else (carries, index)
-    value, variance, mask = hdr.radiance[where], hdr.variance[where], hdr.mask[where]
-    y_px, x_px = np.nonzero(carries)
-    return ChannelPixels(
-        x_px.astype(float),
-        y_px.astype(float),
-        value.astype(float),
-        variance.astype(float),
-        hdr.count[where],
-        (mask == 0) & np.isfinite(value),
-        (mask & SATURATED) > 0,
-        carries.size / carries.sum(),
-    )
+def _grid(hdr: Hdr, where: Any, first_px: tuple[int, int], step_px: int) -> Grid:
+    return Grid(hdr.radiance[where], hdr.variance[where], hdr.count[where], hdr.mask[where], first_px, step_px)

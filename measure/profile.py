@@ -1,4 +1,4 @@
-"""The curve over the distance from the beam, from pixels that lie on it. Lengths in mm.
+"""The curve over the distance from the beam, from pixels and blocks of them that lie on it. Lengths in mm.
 
 A bin holds ∫f r dr/∫r dr over [r_lo, r_hi]. Its pixels are few and lie anywhere in it, so they are compared with a
 smooth curve drawn through all bins, averaged over each pixel's own footprint; the bin's value is that curve's exact
@@ -28,13 +28,15 @@ _NODES = np.polynomial.legendre.leggauss(3)
 
 
 class Points(NamedTuple):
-    """Pixels of one channel on the surface around the beam, arrays of shape (n,)."""
+    """Pixels of one channel on the surface around the beam, or means over blocks of them; arrays of shape (n,)."""
 
     across: Array
     along: Array
     value: Array
     variance: Array
     """NaN where unknown."""
+    n: Array
+    """Pixels that each stands for."""
 
 
 @dataclass(frozen=True)
@@ -45,7 +47,8 @@ class Profile:
     r_hi: Array
     value: Array
     sd: Array
-    n: NDArray[np.int64]
+    n: Array
+    """Pixels."""
     n_rejected: int
 
     @property
@@ -108,9 +111,9 @@ def profile(points: Points, edges: Array, footprint: tuple[float, float], band: 
     r = np.hypot(points.across, points.along)
     points, r = Points(*(field[r < edges[-1]] for field in points)), r[r < edges[-1]]
     index = np.searchsorted(edges, r, side="right") - 1
-    weight = _density_weight(r, band)
+    weight = points.n * _density_weight(r, band)
     if band is not None:
-        weight *= _balance(points.along, index, len(edges) - 1)
+        weight *= _balance(points, index, len(edges) - 1)
     flat = np.ones(len(edges) - 1)
     keep = _not_outlying(points, np.zeros(len(r)), index, len(edges) - 1)
     out = _bins(points, edges, index, weight, np.ones(len(r)), flat, 0 * flat, keep)
@@ -129,13 +132,13 @@ def _density_weight(r: Array, band: float | None) -> Array:
     return 1 / (2 / np.pi * np.arcsin(np.minimum(1, band / 2 / np.maximum(r, 1e-12))))
 
 
-def _balance(along: Array, index: NDArray[np.int64], n_bins: int) -> Array:
+def _balance(points: Points, index: NDArray[np.int64], n_bins: int) -> Array:
     """Weights that put the mean of each bin's pixels on the slice: light runs outwards, so that a camera at an angle
     sees more on its own side, and of a mosaic's colour more rows may lie on one."""
-    ahead, behind = (np.bincount(index, np.maximum(sign * along, 0), n_bins) for sign in (1, -1))
+    ahead, behind = (np.bincount(index, points.n * np.maximum(sign * points.along, 0), n_bins) for sign in (1, -1))
     both = (ahead > 0) & (behind > 0)
     ratio = np.sqrt(np.divide(behind, ahead, out=np.ones(n_bins), where=both))[index]
-    return np.where(along > 0, ratio, 1 / ratio)
+    return np.where(points.along > 0, ratio, 1 / ratio)
 
 
 def _bins(
@@ -153,16 +156,16 @@ def _bins(
     def total(x: Array) -> Array:
         return np.bincount(index[keep], x[keep], n_bins).astype(float)
 
-    n = np.bincount(index[keep], minlength=n_bins)
+    members, n = np.bincount(index[keep], minlength=n_bins), total(points.n)
     with np.errstate(divide="ignore", invalid="ignore"):
         ratio = total(weight * points.value) / total(weight * model)
         value = ratio * bin_model
         share = bin_model / total(weight * model)
         merge_sd = np.sqrt(total(weight**2 * points.variance)) * np.abs(share)
         residual = points.value - ratio[index] * model
-        scatter_sd = np.sqrt(total((weight * residual) ** 2) * n / np.maximum(n - 1, 1)) * np.abs(share)
+        scatter_sd = np.sqrt(total((weight * residual) ** 2) * members / np.maximum(members - 1, 1)) * np.abs(share)
         shape_sd = _SHAPE_REL_SD * np.abs(value) * (steepness / n) ** 2
-    scatter_sd[n < 3] = np.nan
+    scatter_sd[members < 3] = np.nan
     used = n > 0
     return Profile(
         edges[:-1][used],

@@ -16,11 +16,11 @@ from bssrdf.measure.curve import Options, Timing, measure_slice
 from bssrdf.measure.elsewhere import read_elsewhere
 from bssrdf.measure.encoded import session_response
 from bssrdf.measure.flat import flattened
+from bssrdf.measure.image import Image
 from bssrdf.measure.learn import Learnt, learn_camera
 from bssrdf.measure.merge import Hdr, Progress, merge
 from bssrdf.measure.pixels import channel_names, mosaic_period
 from bssrdf.measure.plot import write_slice_png
-from bssrdf.measure.reflectance import Image
 from bssrdf.session.atomic import replace_folder, sha256_of
 from bssrdf.session.frames_csv import read_frames
 from bssrdf.session.hdr_exr import write_hdr_exr

@@ -9,9 +9,9 @@ import numpy as np
 from bssrdf.calib.spot_radius import knife_edge_radius
 from bssrdf.calib.surface import Surface
 from bssrdf.errors import InputError
+from bssrdf.measure.image import Image, locate, spot_radius_mm
 from bssrdf.measure.merge import Hdr
 from bssrdf.measure.pixels import channel_names
-from bssrdf.measure.reflectance import Image, locate, spot_radius_mm
 from bssrdf.session.checks import read_text
 from bssrdf.session.csv_table import parse_csv
 from bssrdf.session.frame_files import read_frame_file

@@ -79,7 +79,7 @@ def test_bins_hold_the_curve_whatever_its_fall_and_the_grid_and_a_glint_changes_
         near = np.abs(along) < band / 2
         across, along, value = across[near], along[near], value[near]
     edges = bin_edges(px, 80 * px)
-    points = Points(across, along, value, (1e-3 * value) ** 2)
+    points = Points(across, along, value, (1e-3 * value) ** 2, np.ones_like(value))
     plain = profile(points, edges, (px, px * 2**0.5), band)
     assert np.all(plain.r_hi > plain.r_lo)
     assert np.all(np.diff(plain.r) > 0)

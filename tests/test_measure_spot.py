@@ -12,8 +12,8 @@ from bssrdf.calib.surface import Surface
 from bssrdf.cli import cli
 from bssrdf.console import BAD_INPUT, WRONG_USAGE, run
 from bssrdf.errors import InputError
+from bssrdf.measure.image import Image, beam_on_tile, locate, spot_radius_mm
 from bssrdf.measure.merge import Hdr
-from bssrdf.measure.reflectance import Image, beam_on_tile, locate, spot_radius_mm
 from bssrdf.session.records import Geometry
 from bssrdf.session.session_toml import read_calibration
 
