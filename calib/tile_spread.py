@@ -11,10 +11,10 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import PchipInterpolator
 from scipy.optimize import least_squares
 from scipy.special import ive
 
+from bssrdf.calib.monotone import Monotone
 from bssrdf.transport.exit_radiance import boundary_a
 
 Array = NDArray[np.float64]
@@ -89,7 +89,7 @@ def beyond(r_mfp: Array, view_angle_deg: float) -> Array:
     return np.asarray(share / (4 * a + 6 * cosine))
 
 
-def spot_image(radius: float, mfp: float, reach: float, view_angle_deg: float) -> PchipInterpolator:
+def spot_image(radius: float, mfp: float, reach: float, view_angle_deg: float) -> Monotone:
     """Light per area [1/mm²] of a Gaussian spot on the tile, as ln f over r up to `reach`.
 
     The light of a ring of radius s, spread by a Gaussian of σ = radius/2, is exp(−(r² + s²)/2σ²) I₀(rs/σ²)/(2πσ²).
@@ -99,10 +99,10 @@ def spot_image(radius: float, mfp: float, reach: float, view_angle_deg: float) -
     ring, s = -np.diff(beyond(edges / mfp, view_angle_deg)), (edges[1:] + edges[:-1]) / 2
     r = np.linspace(0.0, reach, int(_STEPS_PER_SIGMA * reach / sigma) + 2)
     kernel = np.exp(-((r[:, None] - s) ** 2) / (2 * sigma**2)) * ive(0, r[:, None] * s / sigma**2)
-    return PchipInterpolator(r, np.log(kernel @ ring / (2 * np.pi * sigma**2)))
+    return Monotone(r, np.log(kernel @ ring / (2 * np.pi * sigma**2)))
 
 
-def _pixel_mean(log_curve: PchipInterpolator, across: Array, along: Array, footprint: tuple[float, float]) -> Array:
+def _pixel_mean(log_curve: Monotone, across: Array, along: Array, footprint: tuple[float, float]) -> Array:
     """The curve averaged over the rectangle of each pixel."""
     nodes, weights = _NODES
     mean = np.zeros_like(across)

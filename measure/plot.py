@@ -16,7 +16,8 @@ def write_slice_png(path: Path, curve: Slice) -> None:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(7, 4.5), layout="constrained")
+    figure = Figure(figsize=(7, 4.5))
+    figure.subplots_adjust(left=0.12, right=0.98, bottom=0.12, top=0.97)  # a layout engine takes as long as the rest
     FigureCanvasAgg(figure)
     axes = figure.add_subplot(xlabel="distance from the beam, mm", ylabel="R_d, 1/mm²", yscale="log")
     for name, part in curve.channels.items():

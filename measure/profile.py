@@ -8,18 +8,20 @@ bin average times the ratio of the sums. So neither the width of a bin nor that 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import PchipInterpolator
+
+from bssrdf.calib.monotone import Monotone
 
 Array = NDArray[np.float64]
 
 _GROWTH = 0.04
 """A bin is this fraction of its radius wide, or one step of the channel's grid."""
 _REJECT_SD = 6.0
+_LEAST_MEMBERS = 5
+"""Fewer do not tell which of them stands out."""
 _PASSES = 2
 _SHAPE_REL_SD = 0.08
 """What the smooth curve is off by in a bin of one pixel over which it falls by a factor of e."""
@@ -70,7 +72,7 @@ class Curve:
         r, value = profile.r, profile.value
         clear = value > 5 * profile.sd
         n = len(r) if clear.all() else int(np.argmin(clear))
-        self._far = PchipInterpolator(r, value, extrapolate=True) if len(r) > 1 else None
+        self._far = Monotone(r, value) if len(r) > 1 else None
         self._near = _near_the_centre(r[:n], np.log(value[:n])) if n > 1 else None
         self._first, self._last = 0.0 if self._near else r[0], profile.r_hi[-1]
         self._switch = -1.0 if n == 0 else self._last if n == len(r) else r[n - 1]
@@ -85,12 +87,12 @@ class Curve:
         return np.where(r <= self._switch, np.exp(self._near(np.minimum(r, self._switch))), self._far(r))
 
 
-def _near_the_centre(r: Array, log_value: Array) -> PchipInterpolator:
+def _near_the_centre(r: Array, log_value: Array) -> Monotone:
     """Interpolation of ln f that goes on to r = 0, and there has no slope."""
     bend = (log_value[0] - log_value[1]) / (r[1] ** 2 - r[0] ** 2)
     peak = log_value[0] + bend * r[0] ** 2
     inner = r[0] * np.array([0.0, 0.5])
-    return PchipInterpolator(np.append(inner, r), np.append(peak - bend * inner**2, log_value), extrapolate=True)
+    return Monotone(np.append(inner, r), np.append(peak - bend * inner**2, log_value))
 
 
 def bin_edges(step: float, r_max: float) -> Array:
@@ -208,17 +210,19 @@ def _steepness(curve: Curve, edges: Array) -> Array:
 
 
 def _not_outlying(points: Points, model: Array, index: NDArray[np.int64], n_bins: int) -> NDArray[np.bool_]:
-    """Pixels within a few robust standard deviations of the smooth curve, judged bin by bin."""
-    keep = np.ones(len(model), bool)
-    order = np.argsort(index, kind="stable")
-    bounds = np.searchsorted(index[order], np.arange(n_bins + 1))
-    for start, stop in pairwise(bounds):
-        members = order[start:stop]
-        if len(members) < 5:
-            continue
-        residual = points.value[members] - model[members]
-        residual = residual - np.median(residual)
-        scatter = 1.4826 * np.median(np.abs(residual))
-        sd = np.fmax(np.sqrt(points.variance[members]), scatter)
-        keep[members] = np.abs(residual) <= _REJECT_SD * np.maximum(sd, 1e-3 * np.abs(model[members]))
-    return keep
+    """Points within a few robust standard deviations of the smooth curve, judged bin by bin."""
+    members = np.bincount(index, minlength=n_bins)
+    residual = points.value - model
+    residual = residual - _medians(residual, index, members)[index]
+    scatter = 1.4826 * _medians(np.abs(residual), index, members)[index]
+    sd = np.fmax(np.sqrt(points.variance), scatter)
+    few = members[index] < _LEAST_MEMBERS
+    return np.asarray(few | (np.abs(residual) <= _REJECT_SD * np.maximum(sd, 1e-3 * np.abs(model))))
+
+
+def _medians(values: Array, index: NDArray[np.int64], members: NDArray[np.int64]) -> Array:
+    """The median of each bin's values; 0 of an empty one's."""
+    ordered = np.append(values[np.lexsort((values, index))], 0.0)
+    first = np.cumsum(members) - members
+    low, high = (np.minimum(first + k, len(values)) for k in ((members - 1) // 2, members // 2))
+    return np.where(members > 0, (ordered[low] + ordered[high]) / 2, 0.0)

@@ -62,12 +62,12 @@ def total_light(
     area = image.surface.pixel_area_mm2(blocks.x_px, blocks.y_px) * image.px_per_sample[channel]
     curve = radial_profile(image, channel, spot, blocks)
     missing = np.where(blocks.n > 0, blocks.value, curve.curve()(np.hypot(across, along)))
-    inside = float((blocks.light + blocks.n_missing * missing) @ area)
-    variance = float(np.where(blocks.n > 0, blocks.variance, 0.0) * blocks.n**2 @ area**2)
+    inside = float(np.sum((blocks.light + blocks.n_missing * missing) * area))
+    variance = float(np.sum(np.where(blocks.n > 0, blocks.variance, 0.0) * (blocks.n * area) ** 2))
     by_count = light_by_count(image, channel)
 
     outline = image.outline(spot)
-    frame = float((blocks.n + blocks.n_missing) @ area)
+    frame = float(np.sum((blocks.n + blocks.n_missing) * area))
 
     def outside_of(tail: Tail) -> float:
         return tail.beyond(outline) - tail.floor * frame
