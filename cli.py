@@ -225,6 +225,7 @@ SLICE_KEYS = (
     click.option("--mm-rel-sd", type=float, help="Relative error of the length scale."),
     click.option("--shared-errors", help="Slices of the same text share errors of scale and length."),
     click.option("--material", help="Name of the material."),
+    click.option("--unit", type=click.Choice(["mm", "cm", "m"]), help="Of radii; R_d is in 1 over its square."),
 )
 """Keys of slice.csv, which win over the file's."""
 
@@ -295,9 +296,9 @@ def fit(
     given = {name: value for name, value in keys.items() if value is not None}
     outcomes: list[Fit | BssrdfError]
     if joint:
-        outcomes = [fit_joint_files(inputs, options, given, out=target, announce=_announce)]
+        outcomes = [fit_joint_files(inputs, options, given, out=target, announce=_announce, warn=warn)]
     else:
-        outcomes = fit_files(inputs, options, given, out=target, with_g=fit_g, announce=_announce)
+        outcomes = fit_files(inputs, options, given, out=target, with_g=fit_g, announce=_announce, warn=warn)
     code = 0
     for path, outcome in zip(inputs, outcomes, strict=not joint):
         if isinstance(outcome, BssrdfError):

@@ -15,7 +15,8 @@ from bssrdf.session.atomic import atomic_write, sha256_of
 from bssrdf.session.fit_json import read_fit, write_fit
 from bssrdf.session.records import ChannelFit, Fit, Session, Slice
 from bssrdf.session.session_toml import read_session
-from bssrdf.session.slice_csv import read_slice
+from bssrdf.session.slice_csv import HEADER, read_slice
+from bssrdf.session.slice_units import doubt
 
 if TYPE_CHECKING:
     from bssrdf.report.validation import Check
@@ -36,15 +37,17 @@ def fit_files(
     out: Path | None = None,
     with_g: bool = False,
     announce: Callable[[float], None] | None = None,
+    warn: Callable[[str], None] | None = None,
 ) -> list[Fit | BssrdfError]:
     """Fit sessions and slices in one batch; a session's fit is also written to its fit.json, or to `out`.
 
     `keys` are header keys of slice.csv that win over the file's; `with_g` fits g first, slice by slice. An input that
     fails gives its error in its place, and the others are fitted all the same. `announce` is told the seconds that a
-    Monte Carlo table will take which has to be made.
+    Monte Carlo table will take which has to be made; `warn` is told of units that look wrong.
     """
     read = [_caught(_read_with_g if with_g else _read, path, keys) for path in inputs]
     good = [(path, piece) for path, piece in zip(inputs, read, strict=True) if isinstance(piece, Slice)]
+    _doubt(good, options, warn)
     fitted = dict(zip((path for path, _ in good), _fit_all(good, options, announce), strict=True))
     return [
         piece
@@ -61,11 +64,13 @@ def fit_joint_files(
     *,
     out: Path | None = None,
     announce: Callable[[float], None] | None = None,
+    warn: Callable[[str], None] | None = None,
 ) -> Fit:
     """One fit for sessions or slices of one material together, written to `out`; its options name every input."""
     from bssrdf.fit.joint import fit_joint
 
     pieces = [_read(path, keys) for path in inputs]
+    _doubt(list(zip(inputs, pieces, strict=True)), options, warn)
     channels = fit_joint(pieces, options, announce=announce)
     for path in inputs:
         channels = _with_setting(path, channels)
@@ -87,7 +92,8 @@ def validate_fit(path: Path, picture: Path, *, progress: Callable[[str, int, int
 
     (fit,) = read_fits([path])
     source = slice_file(path) if path.is_dir() else Path(fit.input_path)
-    piece = read_slice(source)
+    given = {key: fit.options[key] for key in (*HEADER, "unit") if key in fit.options}
+    piece = read_slice(source, **given)
     missing = [name for name in fit.channels if name not in piece.channels]
     if missing:
         raise InputError(f"{source}: has no channel {missing[0]}, which {path} fits; run the fit again")
@@ -120,6 +126,14 @@ def _read_with_g(path: Path, keys: Mapping[str, Any]) -> Slice:
 
     piece = _read(path, keys)
     return replace(piece, g=fit_g(piece, FitOptions()).g)
+
+
+def _doubt(pieces: Sequence[tuple[Path, Slice]], options: FitOptions, warn: Callable[[str], None] | None) -> None:
+    """Warn of slices whose units look wrong; where the scale is free their factor is not expected to be right."""
+    if warn is not None and options.scale == "given":
+        for path, piece in pieces:
+            if (found := doubt(piece)) is not None:
+                warn(f"{slice_file(path)}: {found}")
 
 
 def _session(path: Path) -> Session | None:

@@ -12,6 +12,12 @@ from typing import Any
 from bssrdf.errors import InputError
 from bssrdf.session.records import FORMAT
 
+_NOT_TEXT = {
+    b"PK\x03\x04": "a zip archive such as a workbook (.xlsx, .ods)",
+    b"\xd0\xcf\x11\xe0": "an old workbook (.xls)",
+    b"\xff\xfe": "text in UTF-16",
+    b"\xfe\xff": "text in UTF-16",
+}
 Check = Callable[[Any], Any]
 """Returns the value, normalised; raises ValueError with what it must be."""
 
@@ -144,7 +150,11 @@ def parse_toml(file: Path, document: str) -> dict[str, Any]:
 def read_text(file: Path) -> str:
     """The UTF-8 text of a file (a byte order mark is dropped); InputError where there is none."""
     try:
-        return file.read_text(encoding="utf-8-sig")
+        content = file.read_bytes()
+        for beginning, kind in _NOT_TEXT.items():
+            if content.startswith(beginning):
+                raise InputError(f"{file}: is {kind}, whatever its name; save it as plain text in UTF-8")
+        return content.decode("utf-8-sig").replace("\r\n", "\n").replace("\r", "\n")
     except UnicodeDecodeError as error:
         raise InputError(f"{file}: is not UTF-8 text (byte {error.start}); save it as plain text in UTF-8") from error
     except (OSError, ValueError) as error:

@@ -29,6 +29,7 @@ def parse_csv(file: Path, content: str, known: Sequence[str], needed: Sequence[s
     if not numbered:
         raise InputError(f"{file}: holds no table; it must begin with the line {','.join(needed)}")
     header = [name.strip() for name in numbered[0][1]]
+    _check_commas(file, header, needed)
     known_keys(file, "column ", header, known)
     for name in needed:
         if name not in header:
@@ -39,6 +40,24 @@ def parse_csv(file: Path, content: str, known: Sequence[str], needed: Sequence[s
         if len(row) != len(header):
             raise InputError(f"{file}: line {line} has {len(row)} fields, not {len(header)} as the header; complete it")
     return Table(header, [row for _, row in numbered[1:]], [line for line, _ in numbered[1:]])
+
+
+def _check_commas(file: Path, header: Sequence[str], needed: Sequence[str]) -> None:
+    """InputError that names what stands in the place of commas, or of a header."""
+    if len(header) == 1:
+        for separator, name in {";": "semicolons", "\t": "tabs", "|": "bars", " ": "spaces"}.items():
+            if separator in header[0]:
+                raise InputError(f"{file}: separates its fields by {name}; write commas, and points in decimals")
+    if header and all(map(_is_number, header)):
+        raise InputError(f"{file}: begins with numbers; put the line {','.join(needed)} above them")
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
 
 
 def csv_text(rows: Iterable[Iterable[str]]) -> str:

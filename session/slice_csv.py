@@ -30,9 +30,11 @@ from bssrdf.session.checks import (
 )
 from bssrdf.session.csv_table import csv_text, parse_csv
 from bssrdf.session.records import FORMAT, TOTAL_R_MAX, Array, ChannelSlice, Slice
+from bssrdf.session.slice_units import MM, column_unit, factor, in_mm
 from bssrdf.session.toml_text import toml_table
 
-_NOT_NEGATIVE = number(at_least=0)
+_NOT_NEGATIVE = number(at_least=0, at_most=1e6)
+_LENGTH = number(at_least=1e-9, at_most=1e6)
 _ANGLE = number(at_least=0, below=90)
 
 
@@ -48,9 +50,15 @@ def _one_or_by_channel(item: Check) -> Check:
     return lambda value: (table if isinstance(value, Mapping) else item)(value)
 
 
+def _total(value: Any) -> float:
+    if isinstance(value, int | float) and 2 < value <= 100:
+        raise ValueError(f"must be a share of the light, not per cent: give {value / 100:g}")
+    return float(number(at_least=1e-12, at_most=TOTAL_R_MAX)(value))
+
+
 HEADER: dict[str, Check] = {
     "material": text,
-    "eta": number(above=0),
+    "eta": number(above=0, at_most=10),
     "g": number(above=-1, below=1),
     "eta_sd": _NOT_NEGATIVE,
     "g_sd": _NOT_NEGATIVE,
@@ -59,11 +67,11 @@ HEADER: dict[str, Check] = {
     "view_angle_deg": _ANGLE,
     "view_angle_sd_deg": _NOT_NEGATIVE,
     "azimuth": choice("perpendicular", "mean"),
-    "band_mm": number(above=0),
+    "band_mm": _LENGTH,
     "incidence_deg": _ANGLE,
-    "spot_radius_mm": number(above=0),
+    "spot_radius_mm": _LENGTH,
     "spot_radius_sd_mm": _NOT_NEGATIVE,
-    "total_r": _one_or_by_channel(number(above=0, at_most=TOTAL_R_MAX)),
+    "total_r": _one_or_by_channel(_total),
     "total_r_sd": _one_or_by_channel(_NOT_NEGATIVE),
     "lost_fraction": _one_or_by_channel(number(at_least=0, below=1)),
     "scale_rel_sd": _NOT_NEGATIVE,
@@ -75,7 +83,10 @@ HEADER: dict[str, Check] = {
 _REQUIRED = {"eta": "eta = 1.3", "flux": 'flux = "incident"', "exit": 'exit = "fresnel"'}
 _BY_CHANNEL = ("total_r", "total_r_sd", "lost_fraction")
 _COLUMNS = tuple(field.name for field in fields(ChannelSlice))
+_NEEDED = ("channel", "r_mm", "rd_per_mm2", "sd_per_mm2")
 _MAY_BE_EMPTY = ("sd_per_mm2",)
+_LEAST, _MOST = 1e-60, 1e60
+"""Sizes of numbers whose squares and products a fit can still hold."""
 
 Lines = NDArray[np.int64]
 """The line of the file that each row stands on."""
@@ -86,7 +97,10 @@ def read_slice(path: Path, **overrides: Any) -> Slice:
     header_text, table_text = _split(read_text(path))
     raw = parse_toml(path, header_text)
     check_format(path, raw.pop("format", FORMAT))
-    channels = dict(_channels(path, table_text))
+    written = raw.pop("unit", None)
+    given = overrides.pop("unit", None) or written
+    unit = None if given is None else checked(path, "", {"unit": given}, {"unit": choice(*MM)})["unit"]
+    channels = dict(_channels(path, table_text, unit))
     raw |= {key: _over(raw.get(key), value, channels) for key, value in overrides.items() if value is not None}
     header = checked(path, "", raw, HEADER)
     for key, example in _REQUIRED.items():
@@ -129,22 +143,39 @@ def _split(content: str) -> tuple[str, str]:
     return "\n".join(header).rstrip(), "\n".join(table)
 
 
-def _channels(path: Path, content: str) -> Iterator[tuple[str, ChannelSlice]]:
-    """The channels in the order in which they first appear."""
-    table = parse_csv(path, content, ["channel", *_COLUMNS], ["channel", "r_mm", "rd_per_mm2", "sd_per_mm2"])
+def _channels(path: Path, content: str, unit: str | None) -> Iterator[tuple[str, ChannelSlice]]:
+    """The channels in the order in which they first appear; lengths are in `unit`, in mm if None."""
+    table = parse_csv(path, _in_mm(path, content, unit), ["channel", *_COLUMNS], _NEEDED)
     if not table.rows:
-        raise InputError(f"{path}: holds no row below its header; add channel,r_mm,rd_per_mm2,sd_per_mm2 of each point")
+        raise InputError(f"{path}: holds no row below its header; add {','.join(_NEEDED)} of each point")
     lines = np.array(table.lines)
     texts = dict(zip(table.header, zip(*table.rows, strict=True), strict=True))
     names = np.array([name.strip() for name in texts.pop("channel")])
     _refuse(path, names == "", "channel", names, lines, "must be a name, such as G")
     columns = {name: _numbers(path, name, column, lines) for name, column in texts.items()}
+    if unit is not None:
+        columns = {name: column * factor(name, unit) for name, column in columns.items()}
     _check_values(path, columns, lines)
     for name in dict.fromkeys(names.tolist()):
         here = names == name
         part = ChannelSlice(**{key: column[here] for key, column in columns.items()})
         _check_ascending(path, name, part, lines[here])
+        _check_doubled(path, name, part, lines[here])
         yield name, part
+
+
+def _in_mm(path: Path, content: str, unit: str | None) -> str:
+    """The table with its header's columns named as for mm; InputError where they name another unit than `unit`."""
+    lines = content.split("\n")
+    at = next((at for at, line in enumerate(lines) if line.strip()), 0)
+    names = [name.strip() for name in lines[at].split(",")]
+    for name in names:
+        named = column_unit(name)
+        if named not in (None, "mm", unit) and in_mm(name) in _COLUMNS:
+            remedy = "rename the columns" if unit else f'give --unit {named}, or a line `# unit = "{named}"`'
+            raise InputError(f"{path}: column {name} is in {named}, not in {unit or 'mm'}; {remedy}")
+    lines[at] = ",".join(in_mm(name) if in_mm(name) in _COLUMNS else name for name in names)
+    return "\n".join(lines)
 
 
 def _numbers(path: Path, name: str, column: Sequence[str], lines: Lines) -> Any:
@@ -155,6 +186,9 @@ def _numbers(path: Path, name: str, column: Sequence[str], lines: Lines) -> Any:
     except ValueError:
         values = np.array([_number_or_nan(text) for text in column])
     _refuse(path, ~np.isfinite(values) & ~empty, name, column, lines, "must be a finite number")
+    limits = f"is out of reach: give 0, or a size from {_LEAST:g} to {_MOST:g}"
+    size = np.abs(values)
+    _refuse(path, ((size > _MOST) | (size < _LEAST)) & (size != 0), name, column, lines, limits)
     return values
 
 
@@ -190,6 +224,19 @@ def _check_ascending(path: Path, channel: str, part: ChannelSlice, lines: Lines)
         falls = np.append(False, np.diff(part.r_mm[here]) < 0)
         remedy = f"comes after a larger one in channel {shown(channel)}; sort the rows by radius"
         _refuse(path, falls, "r_mm", part.r_mm[here], lines[here], remedy)
+
+
+def _check_doubled(path: Path, channel: str, part: ChannelSlice, lines: Lines) -> None:
+    """A row that stands twice would count as two measurements and halve the variance."""
+    if not np.any(np.diff(np.sort(part.r_mm)) == 0):
+        return
+    seen: dict[tuple[Any, ...], int] = {}
+    columns = [column.tolist() for name in _COLUMNS if (column := getattr(part, name)) is not None]
+    for line, row in zip(lines.tolist(), zip(*columns, strict=True), strict=True):
+        known = seen.setdefault(tuple(map(repr, row)), line)
+        if known != line:
+            where = f"r_mm = {row[0]!r} in channel {shown(channel)}"
+            raise InputError(f"{path}: line {line} is line {known} again ({where}); take out rows that stand twice")
 
 
 def _refuse(path: Path, bad: Any, name: str, column: Any, lines: Lines, remedy: str) -> None:
