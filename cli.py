@@ -119,18 +119,39 @@ def capture(plan: Path, out: Path, rig: Path | None, simulate: bool, resume: boo
     "--kind", "kinds", multiple=True, metavar="GLOB=KIND", help="Kind of the files that match; the last match wins."
 )
 @click.option("--select", metavar="TEXT", help="Only light frames with TEXT in their path; darks are kept.")
+@click.option(
+    "--exposure-from",
+    metavar="REGEX_OR_CSV",
+    help="Where exposures stand, instead of metadata and names: a regular expression with one group that finds them in "
+    "the path, or a .csv file with the columns file,exposure_s (and page, for stacks).",
+)
 @click.option("--layout", help='Colour filter pattern such as RGGB, "mono" or "rgb", where the file does not tell.')
 @click.option("--black", type=float, help="DN without light, where the file does not tell.")
 @click.option("--white", type=float, help="DN at saturation, where the file does not tell.")
 @click.option("--response", is_flag=True, help="Take JPEG and PNG as well, and have their response curve fitted.")
 @_force
 def ingest(
-    folder: Path, out: Path, kinds: tuple[str, ...], select: str | None, response: bool, force: bool, **camera: Any
+    folder: Path,
+    out: Path,
+    kinds: tuple[str, ...],
+    select: str | None,
+    exposure_from: str | None,
+    response: bool,
+    force: bool,
+    **camera: Any,
 ) -> None:
-    """Copy the RAW or TIFF files of FOLDER into a session; exposures from EXIF or from file names."""
+    """Copy the RAW, TIFF or other frames of FOLDER into a session; exposures from metadata or from file names."""
     from bssrdf.session.ingest import ingest_folder
 
-    frames = ingest_folder(folder, _fresh(out, force), kinds=kinds, select=select, camera=camera, response=response)
+    frames = ingest_folder(
+        folder,
+        _fresh(out, force),
+        kinds=kinds,
+        select=select,
+        camera=camera,
+        exposure_from=exposure_from,
+        response=response,
+    )
     counts = {kind: sum(frame.kind == kind for frame in frames) for kind in sorted({frame.kind for frame in frames})}
     click.echo(f"{out}: " + ", ".join(f"{n} {kind}" for kind, n in counts.items()))
     click.echo(

@@ -14,8 +14,9 @@ from bssrdf.calib.response import Response
 from bssrdf.calib.sensor import master_dark
 from bssrdf.errors import InputError
 from bssrdf.measure.merge import Sample, Shot
-from bssrdf.session.frame_files import RawFrame, read_frame_file
+from bssrdf.session.frame_files import read_frame_file
 from bssrdf.session.frames_csv import dark_for
+from bssrdf.session.raw_frame import RawFrame
 from bssrdf.session.records import Camera, Frame, FrameKind
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from bssrdf.errors import InputError
 from bssrdf.measure.merge import NO_DATA, Hdr, Plane
 from bssrdf.measure.pixels import mosaic_period
-from bssrdf.session.hdr_exr import read_linear_image
+from bssrdf.session.frame_files import read_linear_image
 from bssrdf.session.records import Camera, Frame, Session
 
 _NEIGHBOURHOOD = 9

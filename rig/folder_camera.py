@@ -9,7 +9,7 @@ from pathlib import Path
 
 from bssrdf.errors import DeviceError
 from bssrdf.rig.ports import Clock, Identity
-from bssrdf.session.frame_files import IMAGE_SUFFIXES, RAW_SUFFIXES
+from bssrdf.session.frame_files import is_frame_name
 
 _TICK_S = 0.05
 
@@ -58,5 +58,4 @@ class FolderCamera:
         pass
 
     def _frames(self) -> list[Path]:
-        suffixes = {*RAW_SUFFIXES, *IMAGE_SUFFIXES}
-        return [file for file in self._folder.iterdir() if file.suffix.lower() in suffixes]
+        return [file for file in self._folder.iterdir() if is_frame_name(file)]

@@ -11,7 +11,8 @@ from scipy.ndimage import median_filter
 
 from bssrdf.errors import InputError
 from bssrdf.rig.steps import Step
-from bssrdf.session.frame_files import RawFrame, read_frame_file
+from bssrdf.session.frame_files import read_frame_file
+from bssrdf.session.raw_frame import RawFrame
 
 Array = NDArray[np.float64]
 

@@ -1,34 +1,30 @@
-"""Make a session of RAW or TIFF files that exist already: which kind each is, how long it was exposed, and a copy."""
+"""Make a session of image files that exist already: which kind each is, how long it was exposed, and a copy."""
 
 from __future__ import annotations
 
 import shutil
-from collections.abc import Mapping, Sequence
-from fnmatch import fnmatch
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path, PurePosixPath
 from types import MappingProxyType
-from typing import Any, NamedTuple, get_args
+from typing import Any
 
 from bssrdf.errors import InputError, UsageError
 from bssrdf.session.atomic import make_folder, replace_folder, sha256_of
-from bssrdf.session.file_names import exposure_from_name
-from bssrdf.session.frame_files import ENCODED_SUFFIXES, IMAGE_SUFFIXES, RAW_SUFFIXES, RawFrame, read_frame_file
+from bssrdf.session.constancy import check_constant
+from bssrdf.session.exposure_source import exposure_source
+from bssrdf.session.file_names import exposure_from_path
+from bssrdf.session.frame_files import ENCODED_SUFFIXES, is_frame_name, read_frames_of
 from bssrdf.session.frames_csv import write_frames
+from bssrdf.session.kinds import Rule, kind_of, rule_of
+from bssrdf.session.raw_frame import RawFrame
 from bssrdf.session.records import Frame, FrameKind
 from bssrdf.session.session_toml import camera_of_keys, write_started
 
-KINDS: tuple[FrameKind, ...] = get_args(FrameKind)
+_MERGED: dict[str, FrameKind] = {"sample": "sample_hdr", "reference": "reference_hdr"}
+_NO_FRAMES = ("__MACOSX", "@eaDir")
+"""Folders in which an archive or a disk station keeps sidecars."""
 
-
-class Rule(NamedTuple):
-    """`--kind GLOB=kind`."""
-
-    glob: str
-    kind: FrameKind
-
-    def matches(self, relative: PurePosixPath) -> bool:
-        """Whether the glob fits the path in the folder, or the name alone."""
-        return fnmatch(str(relative), self.glob) or fnmatch(relative.name, self.glob)
+Exposure = Callable[[PurePosixPath, int], float | None]
 
 
 def ingest_folder(
@@ -38,35 +34,31 @@ def ingest_folder(
     kinds: Sequence[str] = (),
     select: str | None = None,
     camera: Mapping[str, Any] = MappingProxyType({}),
+    exposure_from: str | None = None,
     response: bool = False,
 ) -> list[Frame]:
     """Copy the frames below `folder` into a new session `out`; a session that was there is replaced.
 
     `kinds` are `GLOB=kind` rules on path or name, of which the last match wins; with `select`, light frames count only
-    where their path contains it; `camera` is keys of [camera]. With `response` JPEG and PNG files count as well, and
-    the session asks for their response curve. Returns the frames listed. UsageError for a rule that is
-    malformed or matches nothing, InputError for a file whose kind or exposure is unclear or that cannot be read.
+    where their path contains it; `camera` is keys of [camera]; `exposure_from` is a regular expression that finds the
+    exposure in a path, or a CSV file that lists it. A stack becomes a file for each of its pictures. With `response`
+    JPEG and PNG files count as well, and the session asks for their response curve. Returns the frames listed.
+    UsageError for a rule that is malformed or matches nothing, InputError for a file whose kind or exposure is unclear,
+    that cannot be read, or whose camera was set otherwise than for the others.
     """
-    rules = [_rule(text) for text in kinds]
+    rules = [rule_of(text) for text in kinds]
     known_camera = camera_of_keys(out / "session.toml", {**camera, **({"response": "debevec"} if response else {})})
-    suffixes = (*RAW_SUFFIXES, *IMAGE_SUFFIXES, *(ENCODED_SUFFIXES if response else ()))
-    chosen = _chosen(_image_files(folder, out, suffixes), folder, rules, select)
+    chosen = _chosen(_image_files(folder, out, response), folder, rules, select)
+    told = exposure_source(exposure_from, folder) if exposure_from else None
     make_folder(out.parent)
     with replace_folder(out) as building:
-        frames = [_copy(folder, relative, kind, building, encoded=response) for relative, kind in chosen.items()]
+        frames = []
+        for relative, kind in chosen.items():
+            frames += _take(folder, relative, kind, building, told, encoded=response)
+        check_constant(frames, folder)
         write_frames(building, frames)
         write_started(building, known_camera)
     return frames
-
-
-def _rule(text: str) -> Rule:
-    glob, equals, kind = text.rpartition("=")
-    if not (equals and glob):
-        raise UsageError(f"--kind {text!r} is not of the form GLOB=kind, such as 'darks/*=dark'")
-    for known in KINDS:
-        if kind == known:
-            return Rule(glob, known)
-    raise UsageError(f"--kind {text!r}: there is no kind {kind!r}; kinds are {', '.join(KINDS)}")
 
 
 def _chosen(
@@ -77,7 +69,7 @@ def _chosen(
             raise UsageError(f"--kind '{rule.glob}={rule.kind}' matches none of the {len(found)} images in {folder}")
     chosen = {}
     for relative in found:
-        kind = _kind(relative, rules)
+        kind = kind_of(relative, rules)
         if select is not None and select not in str(relative) and not (kind and kind.endswith("dark")):
             continue
         if kind is None:
@@ -85,53 +77,101 @@ def _chosen(
             raise InputError(
                 f"{folder / relative}: its kind is unclear; name it by --kind GLOB=kind, such as {example}"
             )
-        chosen[relative] = kind
+        chosen[relative] = _MERGED.get(kind, kind) if relative.suffix.lower() == ".hdr" else kind
     if all(kind.endswith("dark") for kind in chosen.values()):
         missing = f"has {select!r} in its path" if select else "is there"
         raise InputError(f"{folder}: no light frame {missing}; look at --select and --kind")
     return chosen
 
 
-def _image_files(folder: Path, out: Path, suffixes: Sequence[str]) -> list[PurePosixPath]:
+def _image_files(folder: Path, out: Path, response: bool) -> list[PurePosixPath]:
     """The images below `folder`, those of a session that stands in it left out."""
     if not folder.is_dir():
-        raise InputError(f"{folder}: is no folder; give the one that holds the frames")
+        raise InputError(f"{folder}: is not a folder; give the one that holds the frames")
     if folder.resolve().is_relative_to(out.resolve()):
         raise UsageError(f"--out {out} would replace {folder}, which is to be read; choose another")
-    images = (path for path in folder.rglob("*") if path.suffix.lower() in suffixes)
-    found = sorted(path for path in images if not path.resolve().is_relative_to(out.resolve()))
+    files = sorted(_visible_files(folder))
+    found = [path for path in files if is_frame_name(path, encoded=response)]
+    found = [path for path in found if not path.resolve().is_relative_to(out.resolve())]
     if not found:
-        encoded = any(path.suffix.lower() in ENCODED_SUFFIXES for path in folder.rglob("*"))
+        encoded = any(path.suffix.lower() in ENCODED_SUFFIXES for path in files)
         remedy = "ask for JPEG or PNG by --response" if encoded else "give the folder that holds the frames"
-        raise InputError(f"{folder}: holds no RAW, TIFF or EXR file; {remedy}")
+        raise InputError(f"{folder}: holds no RAW, TIFF, PNG, PNM, FITS, NPY or EXR file; {remedy}")
     return [PurePosixPath(path.relative_to(folder).as_posix()) for path in found]
 
 
-def _kind(relative: PurePosixPath, rules: Sequence[Rule]) -> FrameKind | None:
-    """By the last rule that matches, else by a kind's own name in the path; what lies beside ruled darks is sample."""
-    for rule in reversed(rules):
-        if rule.matches(relative):
-            return rule.kind
-    words = str(relative).lower().replace("-", "_").replace("/", "_").replace(".", "_")
-    named = [kind for kind in KINDS if f"_{kind}_" in f"_{words}_"]
-    if named:
-        return max(named, key=len)
-    only_darks = bool(rules) and all(rule.kind.endswith("dark") for rule in rules)
-    return "sample" if only_darks else None
+def _visible_files(folder: Path) -> Iterator[Path]:
+    """Files that are neither hidden nor in a hidden folder, each of a name that frames.csv can hold."""
+    for path in folder.rglob("*"):
+        parts = path.relative_to(folder).parts
+        if any(part.startswith(".") or part in _NO_FRAMES for part in parts) or not path.is_file():
+            continue
+        if is_frame_name(path, encoded=True) and not "".join(parts).isprintable():
+            raise InputError(f"{folder}: holds the file {path.name!a}, whose name is not plain text; rename it")
+        yield path
 
 
-def _copy(folder: Path, relative: PurePosixPath, kind: FrameKind, building: Path, *, encoded: bool) -> Frame:
+def _take(
+    folder: Path,
+    relative: PurePosixPath,
+    kind: FrameKind,
+    building: Path,
+    told: Exposure | None,
+    *,
+    encoded: bool,
+) -> list[Frame]:
+    """Copy a file into the session, a stack as one file for each picture; a line for each."""
     source, target = folder / relative, building / "frames" / relative
-    image = read_frame_file(source, encoded=encoded)
+    images = read_frames_of(source, encoded=encoded)
     target.parent.mkdir(parents=True, exist_ok=True)
-    shutil.copy2(source, target)
+    if len(images) == 1:
+        shutil.copy2(source, target)
+        return [_line(target, building, kind, images[0], _exposure(source, relative, 0, kind, images[0], told))]
+    frames = []
+    for page, image in enumerate(images):
+        seconds = told(relative, page) if told else image.exposure_s
+        if seconds is None:
+            raise InputError(
+                f"{source}: is a stack of {len(images)} pictures that does not tell the exposure of each; list them "
+                "by --exposure-from times.csv with the columns file,page,exposure_s"
+            )
+        file = target.with_name(f"{target.stem}_page{page + 1}.tif")
+        _write_page(file, image)
+        frames.append(_line(file, building, kind, image, seconds))
+    return frames
+
+
+def _write_page(file: Path, image: RawFrame) -> None:
+    import tifffile
+
+    if file.exists():
+        raise InputError(f"{file.name}: a page of a stack would take the name of another file; rename the stack")
+    tifffile.imwrite(file, image.data, photometric="rgb" if image.data.ndim == 3 else "minisblack", metadata=None)
+
+
+def _line(file: Path, building: Path, kind: FrameKind, image: RawFrame, exposure_s: float) -> Frame:
     return Frame(
-        file=str("frames" / relative), kind=kind, exposure_s=_exposure(source, image), sha256=sha256_of(target)
+        file=file.relative_to(building).as_posix(),
+        kind=kind,
+        exposure_s=exposure_s,
+        utc=image.utc,
+        sha256=sha256_of(file),
+        exposure_rel_sd=image.exposure_rel_sd if exposure_s == image.exposure_s else None,
+        card=image.card,
     )
 
 
-def _exposure(path: Path, image: RawFrame) -> float:
-    exposure_s = image.exposure_s or exposure_from_name(path.stem)
+def _exposure(
+    path: Path, relative: PurePosixPath, page: int, kind: FrameKind, image: RawFrame, told: Exposure | None
+) -> float:
+    if kind in _MERGED.values():
+        return 1.0
+    exposure_s = told(relative, page) if told else image.exposure_s or exposure_from_path(relative)
     if exposure_s is None:
-        raise InputError(f"{path}: has no exposure in its metadata nor in its name; name it like frame_250ms_1.tif")
+        merged = "; if it is merged already, give its kind as sample_hdr or reference_hdr"
+        raise InputError(
+            f"{path}: has no exposure in its metadata, nor one clear exposure in its name; name it like "
+            f"frame_250ms_1.tif, or say where it stands by --exposure-from"
+            f"{merged if kind in _MERGED and path.suffix.lower() == '.exr' else ''}"
+        )
     return exposure_s

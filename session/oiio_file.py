@@ -12,7 +12,12 @@ from numpy.typing import NDArray
 
 from bssrdf.errors import InputError
 
-_DTYPES = {"uint8": "uint8", "uint16": "uint16", "half": "float", "float": "float", "double": "float"}
+_DTYPES = {"uint8": "uint8", "uint16": "uint16", **dict.fromkeys(("uint", "half", "float", "double"), "float")}
+_PLACED = "openexr"
+"""The format whose pictures say where in the whole frame they lie."""
+
+_LARGEST_FRAME = 2**33
+"""Bytes of a frame beyond which a damaged header is more likely."""
 
 
 class Image(NamedTuple):
@@ -34,33 +39,28 @@ def read_image(path: Path) -> Image:
     return _read_most(path, 1)[0]
 
 
-def file_attributes(path: Path) -> dict[str, Any]:
-    """What the header of a TIFF, or of a RAW file built as one, says; empty where it cannot be read."""
-    try:
-        file = oiio.ImageInput.open(str(path))
-        if file is None:
-            oiio.geterror()  # else it is printed at exit
-        return {} if file is None else _attributes(file.spec())
-    except UnicodeDecodeError:
-        return {}
+def read_subimage(path: Path, index: int) -> NDArray[Any]:
+    """The pixels of one page of a TIFF: (h, w), or (h, w, channels)."""
+    data = _read_most(path, 1, first=index)[0].data
+    return data[:, :, 0] if data.shape[2] == 1 else data
 
 
-def _read_most(path: Path, most: int | None) -> list[Image]:
+def _read_most(path: Path, most: int | None, first: int = 0) -> list[Image]:
     if not path.is_file():
         raise InputError(f"{path}: is not there; check the path")
     try:
-        return _read_open(path, most)
+        return _read_open(path, most, first)
     except UnicodeDecodeError as error:  # from a name, an attribute, or OpenImageIO's own message
         raise _unreadable(path, "") from error
 
 
-def _read_open(path: Path, most: int | None) -> list[Image]:
+def _read_open(path: Path, most: int | None, first: int) -> list[Image]:
     file = oiio.ImageInput.open(str(path))
     if file is None:
         raise _unreadable(path, oiio.geterror())
     try:
         images: list[Image] = []
-        while len(images) != most and file.seek_subimage(len(images), 0):
+        while len(images) != most and file.seek_subimage(first + len(images), 0):
             images.append(_read(path, file))
         if not images:
             raise _unreadable(path, file.geterror())
@@ -73,18 +73,35 @@ def _read(path: Path, file: Any) -> Image:
     spec = file.spec()
     dtype = _DTYPES.get(str(spec.format))
     attributes = _attributes(spec)
-    bits = attributes.get("oiio:BitsPerSample", 8)
-    if dtype is None or bits not in (8, 16, 32, 64):
-        raise InputError(
-            f"{path}: pixels of {bits}-bit {spec.format} are not read; save 8 or 16 bit unsigned, or float"
-        )
+    if dtype is None:
+        raise InputError(f"{path}: pixels of {spec.format} are not read; save 8 or 16 bit unsigned, or float")
     if spec.depth != 1 or spec.deep:
         raise InputError(f"{path}: is a volume or a deep image; save a flat one")
     data = file.read_image(file.current_subimage(), 0, 0, spec.nchannels, dtype)
     if data is None or file.has_error:
         raise _unreadable(path, file.geterror())
     pixels = np.asarray(data).reshape(spec.height, spec.width, spec.nchannels)
+    if file.format_name() == _PLACED:
+        pixels = _in_display_window(path, spec, pixels)
     return Image(pixels, tuple(spec.channelnames), attributes.get("oiio:subimagename", ""), attributes)
+
+
+def _in_display_window(path: Path, spec: Any, pixels: NDArray[Any]) -> NDArray[Any]:
+    """The whole frame that an EXR shows: NaN where its data window does not reach, cut where it reaches beyond."""
+    left, top = spec.x - spec.full_x, spec.y - spec.full_y
+    height, width = spec.full_height, spec.full_width
+    if (left, top, height, width) == (0, 0, *pixels.shape[:2]):
+        return pixels
+    rows, columns = slice(max(top, 0), top + spec.height), slice(max(left, 0), left + spec.width)
+    inner = pixels[max(-top, 0) :, max(-left, 0) :]
+    if 4 * height * width * spec.nchannels > _LARGEST_FRAME:
+        raise InputError(f"{path}: claims a frame of {width} x {height}; copy or take the file again")
+    frame = np.full((height, width, spec.nchannels), np.nan, np.float32)
+    place = frame[rows, columns]
+    place[...] = inner[: place.shape[0], : place.shape[1]]
+    if not place.size:
+        raise InputError(f"{path}: its data window lies outside its display window; save it anew")
+    return frame
 
 
 def _attributes(spec: Any) -> dict[str, Any]:

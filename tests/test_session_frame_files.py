@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 
 from bssrdf.errors import InputError
 from bssrdf.session.fit_json import read_fit
-from bssrdf.session.frame_files import read_frame_file
+from bssrdf.session.frame_files import read_frame_file, read_linear_image
 from bssrdf.session.frames_csv import read_frames
-from bssrdf.session.hdr_exr import read_hdr_exr, read_linear_image, write_hdr_exr
+from bssrdf.session.hdr_exr import read_hdr_exr, write_hdr_exr
 from bssrdf.session.session_toml import read_session, write_template
 from bssrdf.session.slice_csv import read_slice
 
@@ -52,7 +52,7 @@ def test_dng_is_read_bit_exactly(tmp_path: Path, layout: str) -> None:
     np.testing.assert_array_equal(frame.data, DN)
     assert frame.layout == layout
     np.testing.assert_array_equal(frame.black, [[512, 513], [514, 515]])
-    assert (frame.white, frame.exposure_s, frame.camera) == (16383.0, 0.004, "Model 1")
+    assert (frame.white, frame.exposure_s, frame.card.camera) == (16383.0, 0.004, "Model 1")
 
 
 def test_dng_layout_is_that_of_the_visible_area(tmp_path: Path) -> None:
@@ -77,13 +77,9 @@ def test_raw_without_a_2x2_mosaic_is_refused(tmp_path: Path) -> None:
     write_dng(tmp_path / "x.dng", DN, pattern=(1, 1, 0, 1, 1, 2, 1, 1, 2, 1, 1, 0, 2, 0, 1, 0, 2, 1) * 2)
     with pytest.raises(InputError, match=r"x\.dng: .*X-Trans"):
         read_frame_file(tmp_path / "x.dng")
-    tags = [(50706, "B", 4, bytes([1, 4, 0, 0]), True)]
-    tifffile.imwrite(tmp_path / "s.dng", np.stack([DN] * 3, -1), photometric=34892, extratags=tags, metadata=None)
-    with pytest.raises(InputError, match=r"s\.dng: .*stack"):
-        read_frame_file(tmp_path / "s.dng")
 
 
-@pytest.mark.parametrize("dtype", ["uint8", "uint16", "float16", "float32", "float64"])
+@pytest.mark.parametrize("dtype", ["uint8", "uint16", "int16", "uint32", "int32", "float16", "float32", "float64"])
 @pytest.mark.parametrize("shape", [(9, 7), (9, 7, 3)], ids=["one channel", "rgb"])
 def test_tiff_keeps_its_numbers(tmp_path: Path, dtype: str, shape: tuple[int, ...]) -> None:
     values = RNG.integers(0, 200, shape).astype(dtype)
@@ -91,7 +87,7 @@ def test_tiff_keeps_its_numbers(tmp_path: Path, dtype: str, shape: tuple[int, ..
     tags = [(33434, "2I", 1, (1, 250), True)]
     tifffile.imwrite(tmp_path / "a.tif", values, photometric=photometric, extratags=tags)
     frame = read_frame_file(tmp_path / "a.tif")
-    assert frame.data.dtype == (dtype if dtype.startswith("u") else "float32")
+    assert frame.data.dtype == (dtype if dtype in ("uint8", "uint16") else "float32")
     np.testing.assert_array_equal(frame.data, values)
     assert frame.layout == ("rgb" if len(shape) == 3 else None)
     assert (frame.black, frame.white, frame.exposure_s) == (None, None, 0.004)
@@ -100,8 +96,7 @@ def test_tiff_keeps_its_numbers(tmp_path: Path, dtype: str, shape: tuple[int, ..
 @pytest.mark.parametrize(
     ("values", "named"),
     [
-        (np.zeros((4, 4), np.int16), "int16"),
-        (np.zeros((4, 4), np.uint32), "uint"),
+        (np.zeros((4, 4), np.complex64), "complex64"),
         (np.zeros((4, 4, 2), np.uint8), "2 channels"),
         (np.zeros((4, 4, 4), np.uint8), "4 channels"),
     ],

@@ -1,0 +1,99 @@
+"""What must stay the same over a session, held against what the files say of themselves."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from bssrdf.errors import BssrdfError, InputError
+from bssrdf.session.exif import filled
+from bssrdf.session.frame_files import read_card
+from bssrdf.session.records import Card, Frame
+
+_SIZE = "size"
+_GROUPS = (
+    (
+        ("sample", "reference", "sample_dark", "reference_dark", "dark"),
+        ("camera", "iso", "gain", "f_number", "lens", "focal_mm", _SIZE),
+    ),
+    (("sample", "reference", "flat"), ("camera", "lens", "f_number", "layout", _SIZE)),
+    (("flat", "flat_dark"), ("iso", "gain", _SIZE)),
+    (("sample", "reference", "target"), ("lens", "focal_mm", _SIZE)),
+)
+"""Kinds of frames, and what must not differ between them. Sizes, layouts and the like that can be allowed for are not
+here: see `measure.bracket`."""
+_TOLERANCE = {"focal_mm": 0.01, "f_number": 0.01, "gain": 1e-3, "iso": 1e-6}
+"""Relative. A focal length 1 % longer is 1 % in every length; the others are labels and only rounded."""
+_NAMES = {
+    "iso": "ISO",
+    "gain": "gain",
+    "f_number": "f-number",
+    "focal_mm": "focal length",
+    "lens": "lens",
+    "camera": "camera",
+    "layout": "layout",
+    _SIZE: "size",
+}
+_REMEDY = "take them anew with one setting, or leave one out"
+
+
+class Difference(NamedTuple):
+    """Two frames that must agree and do not."""
+
+    first: Frame
+    other: Frame
+    what: str
+
+    def __str__(self) -> str:
+        one, two = (_value(frame.card, self.what) for frame in (self.first, self.other))
+        return f"{self.other.file}: has {_NAMES[self.what]} {two}, not {one} as {self.first.file}; {_REMEDY}"
+
+
+def check_constant(frames: Sequence[Frame], where: Path) -> None:
+    """InputError for the first two frames that differ in what must be constant."""
+    for difference in differences(frames):
+        raise InputError(f"{where / str(difference)}")
+
+
+def differences(frames: Sequence[Frame]) -> Iterator[Difference]:
+    """One for each frame and property: the frame, and the first one that tells it and that it must agree with."""
+    told = set()
+    for kinds, properties in _GROUPS:
+        members = [frame for frame in frames if frame.kind in kinds]
+        for what in properties:
+            known = [frame for frame in members if _value(frame.card, what) is not None]
+            for frame in known[1:]:
+                if (frame.file, what) not in told and not _agree(known[0].card, frame.card, what):
+                    told.add((frame.file, what))
+                    yield Difference(known[0], frame, what)
+
+
+def with_cards(session_path: Path, frames: Sequence[Frame], *, encoded: bool = False) -> list[Frame]:
+    """The frames with the cards of their files where frames.csv has none; its own entries win."""
+    return [
+        frame if frame.card.width_px else replace(frame, card=filled(frame.card, _card(session_path, frame, encoded)))
+        for frame in frames
+    ]
+
+
+def _card(session_path: Path, frame: Frame, encoded: bool) -> Card:
+    """Of a file that cannot be read, nothing: who needs its pixels says why."""
+    try:
+        return read_card(session_path / frame.file, encoded=encoded).card
+    except BssrdfError:
+        return Card()
+
+
+def _value(card: Card, what: str) -> Any:
+    if what == _SIZE:
+        return f"{card.width_px} x {card.height_px}" if card.width_px and card.height_px else None
+    return getattr(card, what)
+
+
+def _agree(one: Card, two: Card, what: str) -> bool:
+    a, b = _value(one, what), _value(two, what)
+    if what in _TOLERANCE:
+        return bool(abs(a - b) <= _TOLERANCE[what] * max(abs(a), abs(b)))
+    return bool(a == b)

@@ -1,0 +1,139 @@
+"""Linear floating-point pictures: EXR with its layers and parts, Radiance with its exposure, any float container."""
+
+from __future__ import annotations
+
+import re
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bssrdf.errors import InputError
+from bssrdf.session.checks import shown
+from bssrdf.session.exif import exposure_of_tags, label, positive, real
+from bssrdf.session.raw_frame import RawFrame
+from bssrdf.session.records import Card
+
+if TYPE_CHECKING:
+    from bssrdf.session.oiio_file import Image
+
+Plane = NDArray[np.float32]
+
+OUR_PARTS = ("radiance", "variance", "count", "mask")
+"""Of the EXR that `bssrdf measure` writes; the first is the picture."""
+_RADIANCE_PRIMARIES = ((0.640, 0.330), (0.290, 0.600), (0.150, 0.060), (1 / 3, 1 / 3))
+"""Red, green, blue and white, as x and y, of the RGB that Radiance turns XYZE into (color.h)."""
+
+
+def read_parts(path: Path) -> RawFrame:
+    """The one picture of an EXR or Radiance file; InputError where it has several or none."""
+    from bssrdf.session.oiio_file import read_images
+
+    if path.suffix.lower() == ".hdr":
+        return _read_radiance(path)
+    images = read_images(path)
+    return _frame(_picture(path, images), images[0].attributes)
+
+
+def _picture(path: Path, images: Sequence[Image]) -> Plane:
+    if [image.name for image in images] == list(OUR_PARTS):
+        images = images[:1]
+    names = [image.channel_names for image in images]
+    if sorted(names) == [("B",), ("G",), ("R",)] and len({image.data.shape for image in images}) == 1:
+        by_name = {image.channel_names[0]: image.data[:, :, 0] for image in images}
+        return np.stack([by_name[colour] for colour in "RGB"], -1)
+    found = {
+        ".".join(filter(None, (image.name, layer))): (layer, data)
+        for image in images
+        for layer, data in _layers(image).items()
+    }
+    plain = [data for layer, data in found.values() if not layer]
+    if len(found) == 1 or (len(images) == 1 and len(plain) == 1):
+        return plain[0] if plain else next(iter(found.values()))[1]
+    if not found:
+        channels = names[0] if len(names) == 1 else names
+        raise InputError(f"{path}: has the channels {shown(channels)}; save one channel, or R, G and B")
+    raise InputError(f"{path}: holds several pictures ({', '.join(found)}); save the one to be measured by itself")
+
+
+def _layers(image: Image) -> dict[str, Plane]:
+    """The pictures of a part by the name of their layer: its R, G and B, or the only channel that there is."""
+    if len(image.channel_names) == 1:
+        return {"": image.data[:, :, 0]}
+    layers: dict[str, dict[str, int]] = {}
+    for index, name in enumerate(image.channel_names):
+        layer, _, channel = name.rpartition(".")
+        layers.setdefault(layer, {})[channel.upper()] = index
+    pictures = {}
+    for layer, channels in layers.items():
+        if set("RGB") <= channels.keys():
+            pictures[layer] = np.ascontiguousarray(image.data[:, :, [channels[colour] for colour in "RGB"]])
+        elif channels.keys() <= {"Y", "A"} and "Y" in channels:
+            pictures[layer] = np.ascontiguousarray(image.data[:, :, channels["Y"]])
+    return pictures
+
+
+def _frame(data: NDArray[Any], tags: dict[str, Any]) -> RawFrame:
+    card = Card(
+        camera=label(tags.get("Model")),
+        iso=positive(real(tags.get("Exif:PhotographicSensitivity"))),
+        f_number=positive(real(tags.get("FNumber"))),
+        layout="rgb" if data.ndim == 3 else None,
+        width_px=data.shape[1],
+        height_px=data.shape[0],
+    )
+    return RawFrame(data, card, exposure_of_tags(tags))
+
+
+def _read_radiance(path: Path) -> RawFrame:
+    """The picture over the product of the EXPOSURE lines; XYZE turned into RGB."""
+    from bssrdf.session.oiio_file import read_image
+
+    header = _radiance_header(path)
+    encoded_xyz = b"32-bit_rle_xyze" in header
+    image = read_image(path) if not encoded_xyz else _read_as_rgbe(path)
+    if image.attributes.get("Orientation", 1) != 1:
+        raise InputError(f"{path}: its rows do not run down and to the right; save it with -Y +X")
+    data = image.data @ _rgb_of_xyz().astype(np.float32).T if encoded_xyz else image.data
+    exposure = np.prod([_factor(path, text) for text in re.findall(rb"^EXPOSURE=(.*)$", header, re.MULTILINE)])
+    corrections = [text.split() for text in re.findall(rb"^COLORCORR=(.*)$", header, re.MULTILINE)]
+    factors = np.prod([[_factor(path, each) for each in text] for text in corrections], axis=0) if corrections else 1.0
+    return _frame(np.asarray(data / (exposure * factors), np.float32), {})
+
+
+def _radiance_header(path: Path) -> bytes:
+    try:
+        with path.open("rb") as file:
+            return file.read(65536).partition(b"\n\n")[0]
+    except FileNotFoundError as error:
+        raise InputError(f"{path}: is not there; check the path") from error
+
+
+def _factor(path: Path, text: bytes) -> float:
+    factor = positive(real(text.decode(errors="replace").strip()))
+    if factor is None:
+        raise InputError(f"{path}: its EXPOSURE or COLORCORR {shown(text)} is not a number above 0; save it anew")
+    return factor
+
+
+def _read_as_rgbe(path: Path) -> Image:
+    """The same bytes under the name of the format that OpenImageIO knows: the code of the numbers is one."""
+    from bssrdf.session.oiio_file import read_image
+
+    with tempfile.TemporaryDirectory() as folder:
+        copy = Path(folder) / path.name
+        copy.write_bytes(path.read_bytes().replace(b"32-bit_rle_xyze", b"32-bit_rle_rgbe", 1))
+        try:
+            return read_image(copy)
+        except InputError as error:
+            raise InputError(str(error).replace(str(copy), str(path))) from error
+
+
+def _rgb_of_xyz() -> NDArray[np.float64]:
+    """3×3 matrix from XYZ to the RGB of Radiance's primaries, white at 1."""
+    xyz = np.array([(x / y, 1.0, (1 - x - y) / y) for x, y in _RADIANCE_PRIMARIES])
+    primaries, white = xyz[:3].T, xyz[3]
+    return np.asarray(np.linalg.inv(primaries * np.linalg.solve(primaries, white)))

@@ -1,0 +1,56 @@
+"""PNG of 16 bits whose numbers are linear; what its header says about gamma."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator
+from pathlib import Path
+
+from bssrdf.errors import InputError
+from bssrdf.session.raw_frame import RawFrame
+from bssrdf.session.records import Card
+
+_SIGNATURE = b"\x89PNG\r\n\x1a\n"
+_LINEAR_GAMMA = 100_000
+_LINEAR_TRANSFER = 8
+"""ITU-T H.273's code of a linear transfer, in cICP."""
+
+
+def read_png(path: Path) -> list[RawFrame]:
+    """The picture; InputError where it has 8 bits, which cameras bend, or says that it is gamma encoded."""
+    from bssrdf.session.oiio_file import read_image
+    from bssrdf.session.tiff_file import without_alpha
+
+    image = read_image(path)
+    chunks = dict(_chunks(path.read_bytes()))
+    if image.data.dtype != "uint16":
+        raise InputError(
+            f"{path}: has 8 bits, which are seldom linear in light; save 16 bits or TIFF, or have the response curve "
+            'fitted: `bssrdf ingest --response`, or response = "debevec" in [camera]'
+        )
+    if _is_encoded(chunks):
+        raise InputError(f"{path}: is gamma encoded, as its header says; save it linear, without gAMA, sRGB and iCCP")
+    data = without_alpha(path, image.data) if image.data.shape[2] in (2, 4) else image.data
+    data = data[:, :, 0] if data.shape[2] == 1 else data
+    significant = chunks.get(b"sBIT", b"\x10")[0]
+    layout = "rgb" if data.ndim == 3 else None
+    return [RawFrame(data, Card(layout=layout, bits=significant, width_px=data.shape[1], height_px=data.shape[0]))]
+
+
+def _is_encoded(chunks: dict[bytes, bytes]) -> bool:
+    if b"cICP" in chunks:
+        return len(chunks[b"cICP"]) < 2 or chunks[b"cICP"][1] != _LINEAR_TRANSFER
+    if b"sRGB" in chunks or b"iCCP" in chunks:
+        return True
+    return b"gAMA" in chunks and abs(int.from_bytes(chunks[b"gAMA"], "big") - _LINEAR_GAMMA) > _LINEAR_GAMMA // 100
+
+
+def _chunks(content: bytes) -> Iterator[tuple[bytes, bytes]]:
+    """Names and contents of the chunks before the pixels."""
+    at = len(_SIGNATURE)
+    while at + 8 <= len(content):
+        size, name = struct.unpack_from(">I4s", content, at)
+        if name == b"IDAT":
+            return
+        yield name, content[at + 8 : at + 8 + size]
+        at += size + 12

@@ -1,0 +1,172 @@
+"""Files that are a header and plain numbers: PNM and PFM, NPY, FITS. Rows stay in the order of the file."""
+
+from __future__ import annotations
+
+import re
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bssrdf.errors import InputError
+from bssrdf.session.exif import label, positive, real
+from bssrdf.session.raw_frame import MACHINE_VISION_REL_SD, RawFrame
+from bssrdf.session.records import Card
+
+_PNM = re.compile(rb"(P5|P6|Pf|PF)(?:\s+|#[^\n]*\n)+(\d+)(?:\s+|#[^\n]*\n)+(\d+)(?:\s+|#[^\n]*\n)+([-+.\deE]+)\s")
+_BLOCK, _CARD = 2880, 80
+_FITS_TYPES = {8: ">u1", 16: ">i2", 32: ">i4", 64: ">i8", -32: ">f4", -64: ">f8"}
+
+
+def read_pnm(path: Path) -> list[RawFrame]:
+    """PGM, PPM or PFM, values as stored: the largest one that the header states is the white level."""
+    content = _bytes_of(path)
+    frames: list[RawFrame] = []
+    while content.strip() or not frames:
+        header = _PNM.match(content)
+        if header is None:
+            raise _damaged(path, "PNM, its header is none of P5, P6, Pf, PF")
+        frame, size = _pnm_frame(path, header, content[header.end() :])
+        frames.append(frame)
+        content = content[header.end() + size :]
+    return frames
+
+
+def _pnm_frame(path: Path, header: re.Match[bytes], content: bytes) -> tuple[RawFrame, int]:
+    """The picture behind a header, and its size in bytes."""
+    kind, width, height, top = header.groups()
+    floats, channels = kind in (b"Pf", b"PF"), 3 if kind in (b"P6", b"PF") else 1
+    largest = real(top.decode()) or 0.0
+    if not largest or (not floats and not 0 < largest < 65536):
+        raise _damaged(path, f"PNM, its largest value {top.decode()} cannot be")
+    order = "<" if floats and largest < 0 else ">"
+    data = _array(
+        path,
+        content,
+        order + ("f4" if floats else "u1" if largest < 256 else "u2"),
+        (int(height), int(width), channels),
+    )
+    card = Card() if floats else Card(bits=int(largest).bit_length(), white=(largest,))
+    return _frame(np.flipud(data) if floats else data, card), data.nbytes
+
+
+def read_npy(path: Path) -> list[RawFrame]:
+    """An array (h, w) or (h, w, 3); one axis more in front makes a stack."""
+    try:
+        data = np.load(path, allow_pickle=False, mmap_mode="r")
+    except (OSError, ValueError, EOFError, SyntaxError, TypeError, MemoryError) as error:
+        raise _damaged(path, f"NPY ({error})") from error
+    if not isinstance(data, np.ndarray) or data.dtype.kind not in "uif" or data.ndim not in (2, 3, 4):
+        raise InputError(f"{path}: is no array of numbers (h, w) or (h, w, 3); save one")
+    if data.ndim == 2 or (data.ndim == 3 and data.shape[2] == 3):
+        return [_frame(data, _container(data))]
+    return [_frame(page, _container(page)) for page in data]
+
+
+def read_fits(path: Path) -> list[RawFrame]:
+    """The pictures of all units, BZERO and BSCALE applied; a cube is a stack."""
+    content, at = _bytes_of(path), 0
+    frames: list[RawFrame] = []
+    while at < len(content) and content[at : at + 8] in (b"SIMPLE  ", b"XTENSION"):
+        keys, start = _fits_header(path, content, at)
+        axes = [int(real(keys.get(f"NAXIS{i}")) or 0) for i in range(int(real(keys.get("NAXIS")) or 0), 0, -1)]
+        if "ZIMAGE" in keys:
+            raise InputError(f"{path}: is a compressed FITS, which is not read; uncompress it by funpack")
+        dtype = _FITS_TYPES.get(int(real(keys.get("BITPIX")) or 0))
+        if dtype is None:
+            raise _damaged(path, "FITS, its BITPIX is none")
+        size = np.dtype(dtype).itemsize * int(np.prod(axes, dtype=object)) if axes else 0
+        if size and keys.get("XTENSION", "IMAGE") == "IMAGE":
+            frames += _fits_unit(path, content[start:], dtype, axes, keys)
+        at = start + -(-(size + int(real(keys.get("PCOUNT")) or 0)) // _BLOCK) * _BLOCK
+    if not frames:
+        raise _damaged(path, "FITS, it holds no picture")
+    return frames
+
+
+def _fits_unit(path: Path, content: bytes, dtype: str, axes: list[int], keys: dict[str, Any]) -> list[RawFrame]:
+    if len(axes) not in (2, 3):
+        raise InputError(f"{path}: holds an array of {len(axes)} axes; save pictures of 2, or a stack of 3")
+    stored = _array(path, content, dtype, (axes[0] if len(axes) == 3 else 1, *axes[-2:]))
+    zero, scale = real(keys.get("BZERO", 0)) or 0.0, real(keys.get("BSCALE", 1)) or 1.0
+    if dtype == ">i2" and (zero, scale) == (32768, 1):
+        stored = (stored.astype(np.int32) + 32768).astype(np.uint16)
+    elif (zero, scale) != (0, 1):
+        stored = (stored * scale + zero).astype(np.float32)
+    return [_fits_frame(page, keys) for page in stored]
+
+
+def _fits_header(path: Path, content: bytes, start: int) -> tuple[dict[str, Any], int]:
+    """Values by keyword of the unit that starts there, and where its data begin."""
+    keys: dict[str, Any] = {}
+    for at in range(start, len(content) - _CARD + 1, _CARD):
+        card = content[at : at + _CARD].decode("ascii", errors="replace")
+        if card.rstrip() == "END":
+            return keys, (at // _BLOCK + 1) * _BLOCK
+        if card[8:10] == "= ":
+            text = card[10:].strip()
+            quoted = re.match(r"'((?:[^']|'')*)'", text)
+            keys.setdefault(card[:8].strip(), quoted[1].strip() if quoted else text.split("/")[0].strip())
+    raise _damaged(path, "FITS, its header has no end")
+
+
+def _fits_frame(data: NDArray[Any], keys: dict[str, Any]) -> RawFrame:
+    offset = [int(real(keys.get(name)) or 0) % 2 for name in ("YBAYROFF", "XBAYROFF")]
+    pattern = str(keys.get("BAYERPAT", keys.get("COLORTYP", ""))).upper()
+    if re.fullmatch("[RGBCMYW]{4}", pattern):
+        pattern = "".join(np.roll(np.array(list(pattern)).reshape(2, 2), [-k for k in offset], (0, 1)).ravel())
+    card = Card(
+        camera=label(keys.get("INSTRUME")),
+        gain=real(keys.get("GAIN")),
+        focal_mm=positive(real(keys.get("FOCALLEN"))),
+        temperature_c=real(keys.get("CCD-TEMP")),
+        layout=pattern if re.fullmatch("[RGBCMYW]{4}", pattern) else None,
+        bits=_container(data).bits,
+    )
+    seconds = positive(real(keys.get("EXPTIME", keys.get("EXPOSURE"))))
+    try:
+        utc = datetime.fromisoformat(str(keys["DATE-OBS"])).isoformat() if "DATE-OBS" in keys else None
+    except ValueError:
+        utc = None
+    return _with_exposure(_frame(data, card), seconds, utc)
+
+
+def _with_exposure(frame: RawFrame, seconds: float | None, utc: str | None) -> RawFrame:
+    """The frame with the exposure that an instrument's program wrote."""
+    return RawFrame(frame.data, frame.card, seconds, MACHINE_VISION_REL_SD if seconds else None, utc)
+
+
+def _frame(data: NDArray[Any], card: Card) -> RawFrame:
+    from bssrdf.session.tiff_file import plain
+
+    data = data[:, :, 0] if data.ndim == 3 and data.shape[2] == 1 else data
+    layout = "rgb" if data.ndim == 3 else card.layout
+    sized = vars(card) | {"layout": layout, "width_px": data.shape[1], "height_px": data.shape[0]}
+    return RawFrame(plain(data), Card(**sized))
+
+
+def _container(data: NDArray[Any]) -> Card:
+    return Card(bits=8 * data.dtype.itemsize if data.dtype.kind == "u" else None)
+
+
+def _array(path: Path, content: bytes, dtype: str, shape: tuple[int, ...]) -> NDArray[Any]:
+    """The first numbers of the content in this shape; InputError where there are too few."""
+    size = np.dtype(dtype).itemsize * int(np.prod(shape, dtype=object))
+    if not 0 < size <= len(content):
+        raise InputError(f"{path}: is cut short at {len(content)} of {size} bytes; copy or take the file again")
+    return np.frombuffer(content[:size], dtype).reshape(shape)
+
+
+def _bytes_of(path: Path) -> bytes:
+    try:
+        return path.read_bytes()
+    except FileNotFoundError as error:
+        raise InputError(f"{path}: is not there; check the path") from error
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror or error}); check its permissions") from error
+
+
+def _damaged(path: Path, what: str) -> InputError:
+    return InputError(f"{path}: cannot be read as {' '.join(what.split())}; copy or take the file again")
