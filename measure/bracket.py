@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,9 +14,11 @@ from bssrdf.calib.response import Response
 from bssrdf.calib.sensor import master_dark
 from bssrdf.errors import InputError
 from bssrdf.measure.merge import Sample, Shot
+from bssrdf.session.constancy import CONSTANT_KINDS
+from bssrdf.session.exif import filled
 from bssrdf.session.frame_files import read_frame_file
 from bssrdf.session.frames_csv import dark_for
-from bssrdf.session.raw_frame import RawFrame
+from bssrdf.session.raw_frame import RawFrame, by_place
 from bssrdf.session.records import Camera, Frame, FrameKind
 
 
@@ -30,13 +32,22 @@ class Bracket:
     darks: tuple[tuple[Frame, ...], ...]
     response: Response | None = None
     """Of a camera whose files are not linear."""
+    bits: int | None = None
+    """The finest that a file of the session has: the numbers of all others are brought to it."""
 
     def read(self, frame: Frame) -> NDArray[Any]:
         """The pixels of a frame or dark, linear in light."""
+        return self.read_whole(frame).data
+
+    def read_whole(self, frame: Frame) -> RawFrame:
+        """The same with what the file says of it; its own line in frames.csv wins."""
         path = self.folder / frame.file
-        if self.response is None:
-            return read_frame_file(path).data
-        return self.response.linearised(path, read_frame_file(path, encoded=True).data)
+        raw = read_frame_file(path, encoded=self.response is not None)
+        raw = replace(raw, card=filled(frame.card, raw.card))
+        if self.response is not None:
+            return replace(raw, data=self.response.linearised(path, raw.data))
+        finer = 2 ** (self.bits - raw.card.bits) if self.bits and raw.card.bits else 1
+        return raw if finer <= 1 else _scaled(raw, finer)
 
     def exposures_s(self) -> list[float]:
         """Measured exposure times, nominal where there is none."""
@@ -57,37 +68,79 @@ class _Loader:
     darks: tuple[Frame, ...]
 
     def __call__(self) -> Sample:
-        raw = self.bracket.read(self.frame)
-        darks = [self.bracket.read(dark) for dark in self.darks]
+        raw = self.bracket.read_whole(self.frame)
+        darks = [self.bracket.read_whole(dark) for dark in self.darks]
         for dark, frame in zip(darks, self.darks, strict=True):
-            if dark.shape != raw.shape:
+            if dark.data.shape != raw.data.shape:
                 path = self.bracket.folder / frame.file
-                raise InputError(f"{path}: has {_size(dark)}, not the {_size(raw)} of {self.frame.file}")
-        return Sample(raw, master_dark(darks), len(darks))
+                raise InputError(f"{path}: has {_size(dark.data)}, not the {_size(raw.data)} of {self.frame.file}")
+        return Sample(raw.data, master_dark([_at_black_of(raw, dark) for dark in darks]), len(darks))
 
 
 def bracket_of(kind: FrameKind, folder: Path, frames: Sequence[Frame], response: Response | None = None) -> Bracket:
     """The frames of `kind` in `frames`, none if there is none; InputError where one has no dark."""
     chosen = sorted((f for f in frames if f.kind == kind), key=lambda f: (f.exposure_s, f.file))
     darks = tuple(tuple(sorted(dark_for(f, frames), key=lambda d: d.file)) for f in chosen)
-    return Bracket(kind, folder, tuple(chosen), darks, response)
+    bits = max((f.card.bits for f in frames if f.card.bits and f.kind in CONSTANT_KINDS), default=None)
+    return Bracket(kind, folder, tuple(chosen), darks, response, bits)
+
+
+def _scaled(raw: RawFrame, factor: int) -> RawFrame:
+    """The frame in steps that many times as fine."""
+    card = raw.card
+    black, white, masked = (
+        None if levels is None else tuple(factor * level for level in levels)
+        for levels in (card.black, card.white, raw.masked_dn)
+    )
+    card = replace(card, black=black, white=white)
+    dtype = np.uint16 if raw.data.dtype.kind == "u" else np.float32
+    return replace(raw, data=np.multiply(raw.data, factor, dtype=dtype), card=card, masked_dn=masked)
+
+
+def _at_black_of(frame: RawFrame, dark: RawFrame) -> NDArray[Any]:
+    """The pixels of a dark, moved by how far the black of its frame lies from its own.
+
+    What pixels under a mask read tells that, else the black levels that the files state.
+    """
+    masked = frame.masked_dn is not None and dark.masked_dn is not None
+    ours, its = (each.masked_dn if masked else each.card.black for each in (frame, dark))
+    if ours is None or its is None or ours == its:
+        return dark.data
+    shift = np.asarray(by_place(ours), np.float32) - np.asarray(by_place(its), np.float32)
+    if shift.ndim == 2:
+        height, width = dark.data.shape
+        shift = np.tile(shift, (-(-height // 2), -(-width // 2)))[:height, :width]
+    return np.asarray(dark.data + shift, np.float32)
+
+
+def layout_of(bracket: Bracket, camera: Camera) -> str:
+    """The layout of the bracket's frames, as [camera] or else their files tell; InputError where they differ."""
+    told = {f.card.layout: f for f in reversed(bracket.frames) if f.card.layout}
+    if camera.layout is None and len(told) > 1:
+        (one, first), (two, other) = sorted(told.items(), key=lambda item: item[1].file)[:2]
+        raise InputError(
+            f"{bracket.folder / other.file}: has the layout {two}, not {one} as {first.file}; "
+            "take a bracket with the camera in one position"
+        )
+    layout = camera.layout or next(iter(told), None)
+    return layout or str(camera_of(bracket, camera).layout)
 
 
 def camera_of(bracket: Bracket, camera: Camera) -> Camera:
     """`[camera]` completed by what the first frame's own file says; InputError where the layout stays unknown."""
     path = bracket.folder / bracket.frames[0].file
-    raw = read_frame_file(path, encoded=bracket.response is not None)
+    raw = bracket.read_whole(bracket.frames[0])
     layout = camera.layout or raw.layout
     if layout is None:
         raise InputError(f'{path}: does not tell its layout; set layout = "RGGB", "mono" or … in [camera]')
     if (raw.data.ndim == 3) != (layout == "rgb"):
         raise InputError(f'{path}: has {_size(raw.data)}, which does not go with layout = "{layout}" in [camera]')
-    return Camera(
-        layout,
-        camera.black if camera.black is not None else _mean_black(raw),
-        bracket.response.saturation if bracket.response else camera.white if camera.white is not None else _white(raw),
-        camera.gain_e_per_dn,
-        camera.read_noise_e,
+    white = camera.white if camera.white is not None else _white(raw)
+    return replace(
+        camera,
+        layout=layout,
+        black=camera.black if camera.black is not None else _mean_black(raw),
+        white=bracket.response.saturation if bracket.response else white,
     )
 
 

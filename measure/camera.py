@@ -10,6 +10,7 @@ from bssrdf.measure.encoded import session_response
 from bssrdf.measure.learn import learn_camera
 from bssrdf.measure.merge import Progress
 from bssrdf.measure.pixels import mosaic_period
+from bssrdf.session.constancy import check_constant, with_cards
 from bssrdf.session.frames_csv import read_frames
 from bssrdf.session.records import Camera, FrameKind, Session
 
@@ -34,7 +35,8 @@ class CameraCalibration:
 
 def calibrate_camera(session: Session, *, progress: Progress | None = None) -> CameraCalibration:
     """Gain, read noise, saturation, linearity and exposure times from the brackets of a session and their darks."""
-    frames = read_frames(session.path)
+    frames = with_cards(session.path, read_frames(session.path), encoded=session.camera.response is not None)
+    check_constant(frames, session.path)
     response = session_response(session, frames)
     every = (bracket_of(kind, session.path, frames, response) for kind in _KINDS)
     brackets = [bracket for bracket in every if bracket.frames]

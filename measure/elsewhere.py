@@ -58,4 +58,5 @@ def scatter_variance(image: Plane, period: int) -> Plane:
     residual = image - cv2.filter2D(image, cv2.CV_32F, around, borderType=cv2.BORDER_REFLECT_101)
     square = np.square(residual) / np.float32(1 + 1 / 4)
     size = _NEIGHBOURHOOD * period
-    return np.asarray(cv2.blur(square, (size, size), borderType=cv2.BORDER_REFLECT_101), np.float32)
+    mean = cv2.blur(square, (size, size), borderType=cv2.BORDER_REFLECT_101)
+    return np.maximum(np.asarray(mean, np.float32), 0)  # its running sum rounds below 0 beside a bright spot

@@ -11,7 +11,7 @@ import bssrdf
 from bssrdf.calib.exposures import Exposures, solve_exposures
 from bssrdf.calib.surface import Surface
 from bssrdf.errors import InputError
-from bssrdf.measure.bracket import Bracket, bracket_of, camera_of
+from bssrdf.measure.bracket import Bracket, bracket_of, camera_of, layout_of
 from bssrdf.measure.curve import Options, Timing, measure_slice
 from bssrdf.measure.elsewhere import read_elsewhere
 from bssrdf.measure.encoded import session_response
@@ -22,6 +22,7 @@ from bssrdf.measure.merge import Hdr, Progress, merge
 from bssrdf.measure.pixels import channel_names, mosaic_period
 from bssrdf.measure.plot import write_slice_png
 from bssrdf.session.atomic import replace_folder, sha256_of
+from bssrdf.session.constancy import check_constant, with_cards
 from bssrdf.session.frames_csv import read_frames
 from bssrdf.session.hdr_exr import write_hdr_exr
 from bssrdf.session.records import Camera, Frame, FrameKind, Session, Slice
@@ -56,7 +57,8 @@ def measure_session(
     for veiling glare and subtracted; `hdr_rel_sd` is the relative error of a pixel in images that were merged
     elsewhere, which their scatter tells if it is None. InputError where frames or tables are missing or cannot be used.
     """
-    listed = read_frames(session.path)
+    listed = with_cards(session.path, read_frames(session.path), encoded=session.camera.response is not None)
+    check_constant(listed, session.path)
     if not hdr_only:
         _check_complete(session, listed)
     hashes = {frame.file: sha256_of(session.path / frame.file) for frame in listed}
@@ -67,6 +69,7 @@ def measure_session(
     brackets: dict[str, Bracket] = {bracket.kind: bracket for bracket in every if bracket.frames}
     images, camera = read_elsewhere(session, frames, hdr_rel_sd)
     learnt = None
+    layouts = {kind: layout_of(bracket, session.camera) for kind, bracket in brackets.items()}
     if brackets:
         camera = camera_of(next(iter(brackets.values())), session.camera)
         learnt = learn_camera(list(brackets.values()), camera, mosaic_period(camera.layout or "mono"), progress)
@@ -80,7 +83,9 @@ def measure_session(
     curve = None
     if not hdr_only:
         exposures = learnt.exposures if learnt else solve_exposures([], [])
-        sample, reference = (_image(kind, images, camera, session) for kind in _KINDS)
+        sample, reference = (
+            _image(kind, images, layouts.get(kind, camera.layout or "mono"), session) for kind in _KINDS
+        )
         curve = measure_slice(session, sample, reference, timing, exposures, Options(radial, glare, band_mm))
         curve = replace(
             curve,
@@ -151,10 +156,9 @@ def _timing(bracket: Bracket, learnt: Learnt) -> Timing:
     return Timing(labels, seconds, learnt.flux_rel_sd.get(bracket.kind, 0.0))
 
 
-def _image(kind: FrameKind, images: Mapping[str, Hdr], camera: Camera, session: Session) -> Image:
+def _image(kind: FrameKind, images: Mapping[str, Hdr], layout: str, session: Session) -> Image:
     if session.geometry is None:
         raise InputError(f"{session.path / 'session.toml'}: has no [geometry]; add it, or measure with --hdr-only")
-    layout = camera.layout or "mono"
     channels = channel_names(layout, session.beam)
     for name in session.beam.channels or ():
         if name not in channels:

@@ -12,18 +12,17 @@ from bssrdf.session.exif import filled
 from bssrdf.session.frame_files import read_card
 from bssrdf.session.records import Card, Frame
 
+CONSTANT_KINDS = ("sample", "reference", "sample_dark", "reference_dark", "dark")
+"""What is held against each other as counts of light."""
 _SIZE = "size"
-_GROUPS = (
-    (
-        ("sample", "reference", "sample_dark", "reference_dark", "dark"),
-        ("camera", "iso", "gain", "f_number", "lens", "focal_mm", _SIZE),
-    ),
-    (("sample", "reference", "flat"), ("camera", "lens", "f_number", "layout", _SIZE)),
-    (("flat", "flat_dark"), ("iso", "gain", _SIZE)),
-    (("sample", "reference", "target"), ("lens", "focal_mm", _SIZE)),
+_GROUPS: tuple[tuple[str | None, tuple[str, ...], tuple[str, ...]], ...] = (
+    (None, CONSTANT_KINDS, ("camera", "iso", "gain", "f_number", "lens", "focal_mm", "bits", _SIZE)),
+    ("flat", ("sample", "reference", "flat"), ("camera", "lens", "f_number", "layout", _SIZE)),
+    ("flat", ("flat", "flat_dark"), ("iso", "gain", _SIZE)),
+    ("target", ("sample", "reference", "target"), ("lens", "focal_mm", _SIZE)),
 )
-"""Kinds of frames, and what must not differ between them. Sizes, layouts and the like that can be allowed for are not
-here: see `measure.bracket`."""
+"""A kind that must be there, kinds of frames, and what must not differ between them. Black, layouts and bits of a
+sensor are allowed for: see `measure.bracket`."""
 _TOLERANCE = {"focal_mm": 0.01, "f_number": 0.01, "gain": 1e-3, "iso": 1e-6}
 """Relative. A focal length 1 % longer is 1 % in every length; the others are labels and only rounded."""
 _NAMES = {
@@ -34,6 +33,7 @@ _NAMES = {
     "lens": "lens",
     "camera": "camera",
     "layout": "layout",
+    "bits": "bits",
     _SIZE: "size",
 }
 _REMEDY = "take them anew with one setting, or leave one out"
@@ -47,7 +47,7 @@ class Difference(NamedTuple):
     what: str
 
     def __str__(self) -> str:
-        one, two = (_value(frame.card, self.what) for frame in (self.first, self.other))
+        one, two = (_shown(frame.card, self.what) for frame in (self.first, self.other))
         return f"{self.other.file}: has {_NAMES[self.what]} {two}, not {one} as {self.first.file}; {_REMEDY}"
 
 
@@ -60,8 +60,10 @@ def check_constant(frames: Sequence[Frame], where: Path) -> None:
 def differences(frames: Sequence[Frame]) -> Iterator[Difference]:
     """One for each frame and property: the frame, and the first one that tells it and that it must agree with."""
     told = set()
-    for kinds, properties in _GROUPS:
+    for needed, kinds, properties in _GROUPS:
         members = [frame for frame in frames if frame.kind in kinds]
+        if needed and not any(frame.kind == needed for frame in members):
+            continue
         for what in properties:
             known = [frame for frame in members if _value(frame.card, what) is not None]
             for frame in known[1:]:
@@ -92,8 +94,20 @@ def _value(card: Card, what: str) -> Any:
     return getattr(card, what)
 
 
+def _shown(card: Card, what: str) -> str:
+    value = _value(card, what)
+    return f"{value:g}" if isinstance(value, float) else str(value)
+
+
 def _agree(one: Card, two: Card, what: str) -> bool:
     a, b = _value(one, what), _value(two, what)
+    if what == "bits" and a != b:
+        return all(_is_of_sensor(card) for card in (one, two))
     if what in _TOLERANCE:
         return bool(abs(a - b) <= _TOLERANCE[what] * max(abs(a), abs(b)))
     return bool(a == b)
+
+
+def _is_of_sensor(card: Card) -> bool:
+    """Whether the bits are those of the sensor's numbers, so that they can be brought to others, or a container's."""
+    return bool(card.layout and card.white) or card.bits not in (8, 16, 32)

@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 from bssrdf.errors import BssrdfError
 from bssrdf.session.atomic import sha256_of
+from bssrdf.session.constancy import differences, with_cards
 from bssrdf.session.frames_csv import dark_for, read_frames
 from bssrdf.session.records import Frame
 from bssrdf.session.session_toml import read_session
@@ -23,11 +24,14 @@ class Verified(NamedTuple):
 def verify_session(path: Path) -> Verified:
     """Look at the tables of session.toml, and at each frame of frames.csv: there, unchanged, with a dark.
 
+    The camera must have been set as for the other frames.
     Frames are read from disk and compared with the checksum in frames.csv where it has one. Raises InputError where
     frames.csv itself cannot be read.
     """
     frames = read_frames(path, must_exist=False)
-    return Verified(frames, [*_table_faults(path, frames), *_frame_faults(path, frames)])
+    cards = with_cards(path, frames)
+    faults = [f"{path / str(difference)}" for difference in differences(cards)]
+    return Verified(frames, [*_table_faults(path, frames), *_frame_faults(path, frames), *faults])
 
 
 def _table_faults(path: Path, frames: Sequence[Frame]) -> Iterator[str]:
