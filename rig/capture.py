@@ -21,6 +21,7 @@ from bssrdf.rig.record import Record, begin, frames_there, resumed, write_record
 from bssrdf.rig.rig_toml import Rig, read_rig
 from bssrdf.rig.steps import Step, snapped, steps_of
 from bssrdf.session.atomic import sha256_of, sync
+from bssrdf.session.constancy import card_of_file, differences
 from bssrdf.session.frames_csv import append_frame
 from bssrdf.session.records import Frame
 
@@ -129,6 +130,7 @@ class _Run:
         self._first: dict[Subject, Seen] = {}
         self._before: dict[Subject, Seen] = {}
         self._drift: dict[str, float] = {}
+        self._kept: list[Frame] = []
         self._watched = 0.0
         self._overhead_s = 0.5
 
@@ -174,6 +176,7 @@ class _Run:
     def _take_all(self, record: Record, there: list[Frame]) -> Captured:
         steps = steps_of(self._plan, record.exposures_s)
         done = {Path(frame.file).stem: self._session / frame.file for frame in there}
+        self._kept = list(there)
         compared = self._compared([step for step in steps if step.name in done])
         for number, step in enumerate(steps, 1):
             event = Event("start", step, number, len(steps), self._left_s(steps[number - 1 :]))
@@ -206,8 +209,10 @@ class _Run:
         for _ in range(_TRIES):
             file = self._expose(step, self._session / "frames" / f"{step.name}.part")
             seen, wrong = check(file, step, self._longer(step), self._white)
+            frame = self._line(step, file)
+            wrong = wrong or next((f"it {unlike.fact}" for unlike in differences([*self._kept, frame])), "")
             if seen is not None and not wrong:
-                self._keep(step, file)
+                self._keep(step, file, frame)
                 self._report(event._replace(what="done", peak=seen.peak))
                 return seen
             file.unlink()
@@ -255,20 +260,20 @@ class _Run:
             self._devices.shutter.state()
             self._watched = time.monotonic()
 
-    def _keep(self, step: Step, file: Path) -> None:
+    def _line(self, step: Step, file: Path) -> Frame:
+        """The frame's line of frames.csv, with what its file says of itself."""
+        name = f"frames/{step.name}{file.suffix}"
+        return Frame(name, step.kind, step.exposure_s, card=card_of_file(file))
+
+    def _keep(self, step: Step, file: Path, frame: Frame) -> None:
         """Have the frame on disk under its own name, and then in the journal."""
         sync(file)
         target = file.with_name(step.name + file.suffix)
         file.rename(target)
         sync(target.parent)
-        frame = Frame(
-            f"frames/{target.name}",
-            step.kind,
-            step.exposure_s,
-            utc=self._devices.clock.utc(),
-            sha256=sha256_of(target),
-        )
+        frame = replace(frame, utc=self._devices.clock.utc(), sha256=sha256_of(target))
         append_frame(self._session, frame)
+        self._kept.append(frame)
 
     def _seen(self, file: Path, step: Step) -> Seen:
         seen, wrong = check(file, step, None, self._white)

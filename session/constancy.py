@@ -47,8 +47,13 @@ class Difference(NamedTuple):
     what: str
 
     def __str__(self) -> str:
+        return f"{self.other.file}: {self.fact}; {_REMEDY}"
+
+    @property
+    def fact(self) -> str:
+        """What the other frame has, and what the first one."""
         one, two = (_shown(frame.card, self.what) for frame in (self.first, self.other))
-        return f"{self.other.file}: has {_NAMES[self.what]} {two}, not {one} as {self.first.file}; {_REMEDY}"
+        return f"has {_NAMES[self.what]} {two}, not {one} as {self.first.file}"
 
 
 def check_constant(frames: Sequence[Frame], where: Path) -> None:
@@ -75,15 +80,17 @@ def differences(frames: Sequence[Frame]) -> Iterator[Difference]:
 def with_cards(session_path: Path, frames: Sequence[Frame], *, encoded: bool = False) -> list[Frame]:
     """The frames with the cards of their files where frames.csv has none; its own entries win."""
     return [
-        frame if frame.card.width_px else replace(frame, card=filled(frame.card, _card(session_path, frame, encoded)))
+        frame
+        if frame.card.width_px
+        else replace(frame, card=filled(frame.card, card_of_file(session_path / frame.file, encoded=encoded)))
         for frame in frames
     ]
 
 
-def _card(session_path: Path, frame: Frame, encoded: bool) -> Card:
-    """Of a file that cannot be read, nothing: who needs its pixels says why."""
+def card_of_file(path: Path, *, encoded: bool = False) -> Card:
+    """What a file says of its frame; of one that cannot be read, nothing: who needs its pixels says why."""
     try:
-        return read_card(session_path / frame.file, encoded=encoded).card
+        return read_card(path, encoded=encoded).card
     except BssrdfError:
         return Card()
 

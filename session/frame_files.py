@@ -87,6 +87,7 @@ def _read_encoded(path: Path, encoded: bool) -> RawFrame:
     """A frame for the fit of a response curve."""
     from bssrdf.session.exif import exposure_of_tags, label
     from bssrdf.session.oiio_file import read_image
+    from bssrdf.session.tiff_file import without_alpha
 
     if not encoded:
         raise InputError(
@@ -94,7 +95,8 @@ def _read_encoded(path: Path, encoded: bool) -> RawFrame:
             '`bssrdf ingest --response`, or response = "debevec" in [camera]'
         )
     image = read_image(path)
-    data = image.data[:, :, 0] if image.data.shape[2] == 1 else image.data
+    data = without_alpha(path, image.data) if image.data.shape[2] in (2, 4) else image.data
+    data = data[:, :, 0] if data.shape[2] == 1 else data
     if data.ndim == 3 and data.shape[2] != 3:
         raise InputError(f"{path}: has {data.shape[2]} channels; save one (mosaic or mono) or three (RGB)")
     height, width = data.shape[:2]
