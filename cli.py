@@ -177,6 +177,7 @@ def verify(session: Path) -> None:
 @cli.command()
 @click.argument("session", type=FOLDER)
 @click.option("--hdr-only", is_flag=True, help="Only merge the brackets; session.toml needs [camera] alone.")
+@click.option("--from-hdr", is_flag=True, help="Start from the images that an earlier run wrote; no frame is read.")
 @click.option("--radial", is_flag=True, help="Average over the whole image instead of a band along the slice.")
 @click.option(
     "--band-mm", type=click.FloatRange(min=0, min_open=True), help="Width of the band along the slice; else 10 pixels."
@@ -189,6 +190,9 @@ def verify(session: Path) -> None:
 )
 def measure(session: Path, **options: Any) -> None:
     """Merge the brackets of SESSION; write HDR images, the slice and the total reflectance into measured/."""
+    if options["from_hdr"] and (options["hdr_only"] or options["hdr_rel_sd"]):
+        raise UsageError("--from-hdr makes no images; leave out --hdr-only and --hdr-rel-sd")
+
     from bssrdf.measure.session import measure_session
     from bssrdf.report.measured_text import measured_text
     from bssrdf.report.progress import steps

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from bssrdf.session.atomic import atomic_write
 from bssrdf.session.records import Slice
 
 _COLOURS = {"R": "tab:red", "G": "tab:green", "B": "tab:blue"}
@@ -32,4 +33,5 @@ def write_slice_png(path: Path, curve: Slice) -> None:
         low = np.maximum(part.rd_per_mm2[positive] - sd, 1e-2 * part.rd_per_mm2[positive])
         axes.fill_between(x[positive], low, part.rd_per_mm2[positive] + sd, color=line.get_color(), alpha=0.25, lw=0)
     axes.legend(title=curve.material)
-    figure.savefig(path, dpi=110)
+    with atomic_write(path) as unfinished:
+        figure.savefig(unfinished, dpi=110, format="png")

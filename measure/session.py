@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from hashlib import sha256
+from pathlib import Path
 from typing import Any
 
 import bssrdf
@@ -19,12 +20,12 @@ from bssrdf.measure.flat import flattened
 from bssrdf.measure.image import Image
 from bssrdf.measure.learn import Learnt, learn_camera
 from bssrdf.measure.merge import Hdr, Progress, merge
+from bssrdf.measure.merged import Merged, Told, inputs_of, read_merged
 from bssrdf.measure.pixels import channel_names, mosaic_period
 from bssrdf.measure.plot import write_slice_png
 from bssrdf.session.atomic import replace_folder, sha256_of
 from bssrdf.session.constancy import check_constant, with_cards
 from bssrdf.session.frames_csv import read_frames
-from bssrdf.session.hdr_exr import write_hdr_exr
 from bssrdf.session.records import Camera, Frame, FrameKind, Session, Slice
 from bssrdf.session.slice_csv import write_slice
 
@@ -44,6 +45,7 @@ def measure_session(
     session: Session,
     *,
     hdr_only: bool = False,
+    from_hdr: bool = False,
     radial: bool = False,
     glare: bool = False,
     band_mm: float | None = None,
@@ -52,15 +54,42 @@ def measure_session(
 ) -> Measured:
     """Measure the session and write its folder `measured/`, replaced as a whole.
 
-    With `hdr_only` only the images are made, and only [camera] is needed; with `radial` the curve comes from the
-    whole image, not from the slice, whose full width along the view is `band_mm`; with `glare` an even floor is taken
-    for veiling glare and subtracted; `hdr_rel_sd` is the relative error of a pixel in images that were merged
-    elsewhere, which their scatter tells if it is None. InputError where frames or tables are missing or cannot be used.
+    With `hdr_only` only the images are made, and only [camera] is needed; with `from_hdr` those that an earlier run
+    wrote are used, and no frame is read; with `radial` the curve comes from the whole image, not from the slice, whose
+    full width along the view is `band_mm`; with `glare` an even floor is taken for veiling glare and subtracted;
+    `hdr_rel_sd` is the relative error of a pixel in images that were merged elsewhere, which their scatter tells if it
+    is None. InputError where frames or tables are missing or cannot be used.
     """
-    listed = with_cards(session.path, read_frames(session.path), encoded=session.camera.response is not None)
-    check_constant(listed, session.path)
+    listed = read_frames(session.path, must_exist=not from_hdr)
     if not hdr_only:
         _check_complete(session, listed)
+    merged = read_merged(session, listed, _KINDS) if from_hdr else _merged(session, listed, hdr_rel_sd, progress)
+    told = merged.told
+    curve = None
+    if not hdr_only:
+        sample, reference = (_image(kind, merged.images, told.layouts[kind], session) for kind in _KINDS)
+        curve = measure_slice(session, sample, reference, told.timing, told.exposures, Options(radial, glare, band_mm))
+        curve = replace(
+            curve,
+            flags=tuple(dict.fromkeys((*told.flags, *curve.flags))),
+            shared_errors=_of_reference(listed, merged.provenance["sha256"]),
+            provenance=merged.provenance,
+        )
+    measured = Measured(merged.images, merged.provenance, curve)
+    if from_hdr:
+        _write_curve(session.path / "measured", measured)
+    else:
+        with replace_folder(session.path / "measured") as folder:
+            merged.write(folder)
+            _write_curve(folder, measured)
+    return measured
+
+
+def _merged(session: Session, listed: Sequence[Frame], hdr_rel_sd: float | None, progress: Progress | None) -> Merged:
+    """The session's frames merged, kind by kind."""
+    inputs = inputs_of(session, listed)
+    listed = with_cards(session.path, listed, encoded=session.camera.response is not None)
+    check_constant(listed, session.path)
     hashes = {frame.file: sha256_of(session.path / frame.file) for frame in listed}
     frames, flags = _without_duplicates(listed, hashes)
     response = session_response(session, frames)
@@ -79,23 +108,14 @@ def measure_session(
         raise InputError(f"{session.path / 'frames.csv'}: lists no frame of kind sample or reference; add some")
 
     timing = {kind: _timing(bracket, learnt) for kind, bracket in brackets.items() if learnt}
-    provenance = _provenance(session, timing, learnt, hashes)
-    curve = None
-    if not hdr_only:
-        exposures = learnt.exposures if learnt else solve_exposures([], [])
-        sample, reference = (
-            _image(kind, images, layouts.get(kind, camera.layout or "mono"), session) for kind in _KINDS
-        )
-        curve = measure_slice(session, sample, reference, timing, exposures, Options(radial, glare, band_mm))
-        curve = replace(
-            curve,
-            flags=tuple(dict.fromkeys((*flags, *curve.flags))),
-            shared_errors=_of_reference(frames, hashes),
-            provenance=provenance,
-        )
-    measured = Measured(images, provenance, curve)
-    _write(session, measured)
-    return measured
+    told = Told(
+        {kind: layouts.get(kind, camera.layout or "mono") for kind in images},
+        timing,
+        learnt.exposures if learnt else solve_exposures([], []),
+        tuple(flags),
+        inputs,
+    )
+    return Merged(images, told, _provenance(session, timing, learnt, hashes))
 
 
 def _check_complete(session: Session, frames: Sequence[Frame]) -> None:
@@ -195,10 +215,7 @@ def _relative(exposures: Exposures) -> dict[str, float]:
     return {f"{label:g}": sd for label, sd in exposures.rel_sd.items()}
 
 
-def _write(session: Session, measured: Measured) -> None:
-    with replace_folder(session.path / "measured") as folder:
-        for kind, hdr in measured.images.items():
-            write_hdr_exr(folder / f"{kind}.exr", vars(hdr), measured.provenance)
-        if measured.slice is not None:
-            write_slice(folder / "slice.csv", measured.slice)
-            write_slice_png(folder / "slice.png", measured.slice)
+def _write_curve(folder: Path, measured: Measured) -> None:
+    if measured.slice is not None:
+        write_slice(folder / "slice.csv", measured.slice)
+        write_slice_png(folder / "slice.png", measured.slice)

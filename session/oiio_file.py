@@ -20,6 +20,9 @@ _LARGEST_FRAME = 2**33
 """Bytes of a frame beyond which a damaged header is more likely."""
 
 
+_MOST_IN_HALF = 2048
+
+
 class Image(NamedTuple):
     """One image of a file: values as stored (half and double as float32), shape (h, w, channels)."""
 
@@ -114,14 +117,18 @@ def _unreadable(path: Path, reason: str) -> InputError:
 
 
 def write_exr(path: Path, parts: Sequence[tuple[str, NDArray[np.float32]]], attributes: dict[str, str]) -> None:
-    """Write float32 images of shape (h, w, channels) as the named parts of one EXR; `attributes` go into the first."""
+    """Write float32 images of shape (h, w, channels) as the named parts of one EXR; `attributes` go into the first.
+
+    Parts of whole numbers up to 2,048, which half precision holds, are stored in it.
+    """
+    small = [name for name, data in parts if data.max() <= _MOST_IN_HALF and np.array_equal(data, np.rint(data))]
     specs = []
     for name, data in parts:
         height, width, channels = data.shape
-        spec = oiio.ImageSpec(width, height, channels, "float")
+        spec = oiio.ImageSpec(width, height, channels, "half" if name in small else "float")
         spec.channelnames = ("Y",) if channels == 1 else ("R", "G", "B")
         spec.attribute("oiio:subimagename", name)
-        spec.attribute("compression", "zip")
+        spec.attribute("compression", "zip" if name in small else "none")  # noise does not shrink
         specs.append(spec)
     for key, value in attributes.items():
         specs[0].attribute(key, value)

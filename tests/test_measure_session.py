@@ -1,5 +1,7 @@
 """`measure_session` on sessions made here with plain numpy noise."""
 
+import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -8,7 +10,7 @@ import tifffile
 
 from bssrdf.errors import InputError
 from bssrdf.measure.session import measure_session
-from bssrdf.session.frames_csv import write_frames
+from bssrdf.session.frames_csv import read_frames, write_frames
 from bssrdf.session.hdr_exr import read_hdr_exr
 from bssrdf.session.records import Beam, Camera, Frame, Geometry, Material, Reference, Session
 from bssrdf.session.slice_csv import read_slice
@@ -231,3 +233,44 @@ def test_a_spot_narrower_than_the_mosaic_widens_the_error_of_red_and_blue(tmp_pa
     for channel in "RB":
         assert curve.total_r_sd[channel] > 3 * curve.total_r_sd["G"]
         assert 0 < error[channel] < 4 * curve.total_r_sd[channel] / curve.total_r[channel]
+
+
+def curve_files(folder):
+    return {name: (folder / name).read_bytes() for name in ("slice.csv", "slice.png")}
+
+
+def test_a_curve_from_the_merged_images_is_that_of_the_whole_run_and_reads_no_frame(tmp_path):
+    session = write_session(tmp_path / "again")
+    whole = measure_session(session)
+    before = curve_files(session.path / "measured")
+    radial = measure_session(session, radial=True)
+    measure_session(session)
+    shutil.rmtree(session.path / "frames")
+    again = measure_session(session, from_hdr=True)
+    assert curve_files(session.path / "measured") == before
+    assert (again.slice.total_r, again.slice.total_r_sd) == (whole.slice.total_r, whole.slice.total_r_sd)
+    for name, part in measure_session(session, from_hdr=True, radial=True).slice.channels.items():
+        np.testing.assert_array_equal(part.rd_per_mm2, radial.slice.channels[name].rd_per_mm2)
+
+
+def test_images_of_other_frames_or_another_camera_are_refused(tmp_path):
+    session = write_session(tmp_path / "stale")
+    with pytest.raises(InputError, match=r"sample.exr: is not there; run `bssrdf measure` without --from-hdr"):
+        measure_session(session, from_hdr=True)
+    measure_session(session)
+    brighter = replace(session, camera=replace(session.camera, white=9000.0))
+    with pytest.raises(InputError, match=r"before frames.csv or \[camera\] changed"):
+        measure_session(brighter, from_hdr=True)
+    assert measure_session(replace(session, camera=replace(session.camera, aperture_mm=1.0)), from_hdr=True).slice
+    frames = read_frames(session.path)
+    write_frames(session.path, frames[1:])
+    with pytest.raises(InputError, match=r"before frames.csv or \[camera\] changed"):
+        measure_session(session, from_hdr=True)
+    write_frames(session.path, [replace(frames[0], sha256="0" * 64), *frames[1:]])
+    with pytest.raises(InputError, match=r"was made from another frames/sample_0.tif"):
+        measure_session(session, from_hdr=True)
+    write_frames(session.path, frames)
+    measure_session(write_session(tmp_path / "other", seed=5))
+    shutil.copy(tmp_path / "other/measured/reference.exr", session.path / "measured/reference.exr")
+    with pytest.raises(InputError, match=r"reference.exr: comes from another run"):
+        measure_session(session, from_hdr=True)
