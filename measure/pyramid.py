@@ -60,6 +60,12 @@ class Pyramid:
         self.grid = grid
 
     @cached_property
+    def light_by_count(self) -> Array:
+        """Light of the good pixels by the number of samples that were merged for each."""
+        grid = self.grid
+        return np.asarray(_light_by_count(grid.radiance, grid.mask, grid.count, int(grid.count.max()) + 1))
+
+    @cached_property
     def _levels(self) -> list[_Level]:
         """Blocks of 2, 4, 8 … pixels, as long as a block may lie far enough from the beam to be used."""
         grid = self.grid
@@ -144,6 +150,16 @@ def _halved(plane: NDArray[np.float32]) -> NDArray[np.float32]:
     """Sums over 2 × 2 elements; at an odd end over those that are there."""
     even = np.pad(plane, [(0, size % 2) for size in plane.shape])
     return np.asarray(even[::2, ::2] + even[1::2, ::2] + even[::2, 1::2] + even[1::2, 1::2])
+
+
+@_fused
+def _light_by_count(radiance: Any, mask: Any, count: Any, n: int) -> Any:
+    sums = np.zeros(n)
+    for y in range(radiance.shape[0]):
+        for x in range(radiance.shape[1]):
+            if mask[y, x] == 0 and np.isfinite(radiance[y, x]):
+                sums[count[y, x]] += radiance[y, x]
+    return sums
 
 
 @_fused

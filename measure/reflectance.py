@@ -26,8 +26,6 @@ _BLOCKS_IN_BAND = 16
 _GLARE_PASSES = 2
 _GLARE_SD = 3.0
 _GLARE_SHARE = 0.001
-_TILE = 1_000_000
-"""Pixels at a time where every pixel is looked at."""
 _BEYOND_REL_SD = 0.02
 """How far the form of the tail is right where no pixel tells it, as a share of the light there."""
 
@@ -108,13 +106,9 @@ def glare_is_evident(image: Image, spot: Spot, surroundings: Surroundings, total
 
 def light_by_count(image: Image, channel: str) -> Array:
     """Light of the channel's good pixels by the number of samples that were merged for each."""
-    sums = np.zeros(1 + max(int(pyramid.grid.count.max()) for pyramid in image.pyramids[channel]))
-    for pyramid in image.pyramids[channel]:
-        grid = pyramid.grid
-        for rows in np.array_split(np.arange(len(grid.radiance)), -(-grid.radiance.size // _TILE)):
-            good = (grid.mask[rows] == 0) & np.isfinite(grid.radiance[rows])
-            sums += np.bincount(grid.count[rows][good], grid.radiance[rows][good], len(sums))
-    return sums
+    parts = [pyramid.light_by_count for pyramid in image.pyramids[channel]]
+    longest = max(map(len, parts))
+    return np.asarray(sum(np.pad(part, (0, longest - len(part))) for part in parts))
 
 
 def _blocks(image: Image, channel: str, spot: Spot) -> Blocks:
