@@ -155,7 +155,7 @@ def ingest(
     counts = {kind: sum(frame.kind == kind for frame in frames) for kind in sorted({frame.kind for frame in frames})}
     click.echo(f"{out}: " + ", ".join(f"{n} {kind}" for kind, n in counts.items()))
     click.echo(
-        f"{out / 'session.toml'}: fill in what was measured and with what; `measure --hdr-only` needs [camera] alone"
+        f"{out / 'session.toml'}: put in what was measured and with what; `measure --hdr-only` needs [camera] alone"
     )
 
 
@@ -199,7 +199,8 @@ def measure(session: Path, **options: Any) -> None:
     from bssrdf.session.session_toml import read_session
 
     with steps(quiet=is_quiet()) as progress:
-        measured = measure_session(read_session(session), progress=progress, **options)
+        known = read_session(session, complete=not options["hdr_only"])
+        measured = measure_session(known, progress=progress, **options)
     click.echo(measured_text(measured))
 
 

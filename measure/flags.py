@@ -20,5 +20,6 @@ MEANING = {
     "second_spot": "There is a second bright spot in the picture.",
     "slice_radial_disagree": "The slice and the average over all directions differ by more than their errors.",
     "speckle": "A laser makes speckle: the error of the total is larger than the noise says.",
+    "unnamed": "The material is still unnamed, as in the template: are the other values yours, or its examples?",
     "view_angle_sd_assumed": "session.toml does not state view_angle_sd_deg: 1 degree was assumed.",
 }

@@ -27,6 +27,7 @@ from bssrdf.session.atomic import replace_folder, sha256_of
 from bssrdf.session.constancy import check_constant, with_cards
 from bssrdf.session.frames_csv import read_frames
 from bssrdf.session.records import Camera, Frame, FrameKind, Session, Slice
+from bssrdf.session.session_toml import UNNAMED
 from bssrdf.session.slice_csv import write_slice
 
 _KINDS: tuple[FrameKind, ...] = ("sample", "reference")
@@ -94,6 +95,7 @@ def _merged(session: Session, listed: Sequence[Frame], hdr_rel_sd: float | None,
     frames, flags = _without_duplicates(listed, hashes)
     response = session_response(session, frames)
     flags += ["not_linear"] if response else []
+    flags += ["unnamed"] if session.material and session.material.name == UNNAMED else []
     every = (bracket_of(kind, session.path, frames, response) for kind in _KINDS)
     brackets: dict[str, Bracket] = {bracket.kind: bracket for bracket in every if bracket.frames}
     images, camera = read_elsewhere(session, frames, hdr_rel_sd)

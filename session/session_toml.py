@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from importlib.resources import files
 from pathlib import Path
@@ -105,22 +105,30 @@ TABLES: dict[str, tuple[type, dict[str, Check]]] = {
     "colour": (Colour, {"matrix": matrix3}),
 }
 _REQUIRED = {
-    "material": ["name", "eta"],
-    "reference": ["name", "reflectance"],
-    "distortion": ["camera_matrix", "coefficients"],
-    "colour": ["matrix"],
+    "camera": {},
+    "material": {"name": '"marble"', "eta": "1.5"},
+    "geometry": {"mm_per_px": "0.05"},
+    "reference": {"name": '"Spectralon"', "reflectance": "[0.99, 0.99, 0.99]"},
+    "distortion": {"camera_matrix": "[[…], […], […]]", "coefficients": "[…]"},
+    "colour": {"matrix": "[[…], […], […]]"},
 }
+"""Keys without which a table is nothing, each with an example."""
+_TO_MEASURE = ("camera", "material", "geometry", "reference")
+UNNAMED = "unnamed"
+"""Name of the material in the template: whoever leaves it may have left the example values too."""
 
 
-def read_session(path: Path) -> Session:
-    """The session in the folder `path`, with its calibration merged in; InputError names file, key and value."""
+def read_session(path: Path, *, complete: bool = False) -> Session:
+    """The session in the folder `path`, with its calibration merged in; InputError names file, key and value.
+
+    With `complete` the tables must be there without which no slice can be measured; else [camera] is enough.
+    """
     file = path / "session.toml"
     top, own = _read_tables(file, {"calibration": text})
     tables = own
     if "calibration" in top:
         tables = _merged(read_calibration(inside(path, top["calibration"], named_in=file.name)), own)
-    if "camera" not in tables:
-        raise InputError(f"{file}: lacks [camera]; add it (empty is enough where the files are RAW)")
+    _check_required(file, tables, _TO_MEASURE if complete else ("camera",))
     parts = {name: _record(file, name, values) for name, values in tables.items()}
     return Session(path=path, calibration=top.get("calibration"), **parts)
 
@@ -155,10 +163,12 @@ def write_template(path: Path, *, force: bool = False) -> None:
 
 
 def write_started(path: Path, camera: Camera) -> None:
-    """A session.toml with [camera], and every other table of the template commented out, to be filled in."""
-    head, *tables = re.split(r"^(?=\[)", _template(), flags=re.MULTILINE)
-    commented = "".join(re.sub(r"^(?=[^#\n])", "# ", table, flags=re.MULTILINE) for table in tables)
-    document = head + commented.replace("# [camera]\n", f"[camera]\n{toml_table(asdict(camera))}")
+    """The template with the keys of `camera` that differ from what is taken without them, to be filled in."""
+    document, plain = _template(), asdict(Camera())
+    for key, value in asdict(camera).items():
+        if value != plain[key]:
+            line = toml_table({key: value}).rstrip()
+            document = re.sub(rf"^# {key} = \S+ *(?=#|$)", f"{line:40}", document, flags=re.MULTILINE)
     with atomic_write(path / "session.toml") as part:
         part.write_text(document, encoding="utf-8")
 
@@ -203,12 +213,24 @@ def _one_scale(file: Path, geometry: dict[str, Any]) -> None:
         raise InputError(f"{file}: [geometry] has both mm_per_px and homography; keep one of them")
 
 
+def _check_required(file: Path, tables: Tables, names: Sequence[str]) -> None:
+    """InputError that names every key that is missing, with the lines that would give them."""
+    missing, lines = [], []
+    for name in dict.fromkeys((*names, *tables)):
+        keys = [key for key in _REQUIRED.get(name, {}) if key not in tables.get(name, {})]
+        if name == "geometry" and "homography" in tables.get(name, {}):
+            keys = []
+        if name not in tables:
+            missing.append(f"[{name}]" + (f" with {' and '.join(keys)}" if keys else ""))
+        elif keys:
+            missing.append(f"[{name}] {' and '.join(keys)}")
+        if name not in tables or keys:
+            lines.append(" ".join([f"[{name}]", *(f"{key} = {_REQUIRED[name][key]}" for key in keys)]))
+    if missing:
+        raise InputError(f"{file}: lacks {', '.join(missing)}; add lines such as `{'`, `'.join(lines)}`")
+
+
 def _record(file: Path, name: str, values: dict[str, Any]) -> Any:
-    for key in _REQUIRED.get(name, []):
-        if key not in values:
-            raise InputError(f"{file}: [{name}] lacks {key}; add it")
-    if name == "geometry" and not {"mm_per_px", "homography"} & values.keys():
-        raise InputError(f"{file}: [geometry] lacks mm_per_px; add it, or homography")
     record = TABLES[name][0](**values)
     if isinstance(record, Camera):
         _black_below_white(file, record)

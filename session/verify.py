@@ -11,7 +11,7 @@ from bssrdf.session.atomic import sha256_of
 from bssrdf.session.constancy import differences, with_cards
 from bssrdf.session.frames_csv import dark_for, read_frames
 from bssrdf.session.records import Frame
-from bssrdf.session.session_toml import read_session
+from bssrdf.session.session_toml import UNNAMED, read_session
 
 
 class Verified(NamedTuple):
@@ -36,13 +36,11 @@ def verify_session(path: Path) -> Verified:
 
 def _table_faults(path: Path, frames: Sequence[Frame]) -> Iterator[str]:
     try:
-        session = read_session(path)
+        session = read_session(path, complete=True)
+        if session.material and session.material.name == UNNAMED:
+            yield f'{path / "session.toml"}: [material] name is still "{UNNAMED}"; put in what was measured'
     except BssrdfError as error:
-        yield str(error)
-        return
-    for name in ("material", "geometry", "reference"):
-        if getattr(session, name) is None:
-            yield f"{path / 'session.toml'}: has no [{name}]; add it (without it only `measure --hdr-only` works)"
+        yield f"{error} (without them only `measure --hdr-only` works)"
     for kind in ("sample", "reference"):
         if not any(frame.kind in (kind, f"{kind}_hdr") for frame in frames):
             yield f"{path / 'frames.csv'}: lists no {kind}; add it (without it only `measure --hdr-only` works)"

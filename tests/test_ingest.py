@@ -14,7 +14,7 @@ from bssrdf.errors import InputError, UsageError
 from bssrdf.session.frames_csv import read_frames
 from bssrdf.session.hdr_exr import read_hdr_exr
 from bssrdf.session.ingest import ingest_folder
-from bssrdf.session.session_toml import read_session
+from bssrdf.session.session_toml import read_session, write_template
 from bssrdf.session.verify import verify_session
 
 
@@ -49,22 +49,20 @@ def test_every_image_is_listed_with_kind_exposure_and_checksum(folder: Path, tmp
     ]
     assert (out / "frames/wax/a_10ms_1.tif").read_bytes() == (folder / "wax/a_10ms_1.tif").read_bytes()
     assert read_session(out).camera.layout == "mono"
-    assert read_session(out).material is None
 
 
-def test_session_that_is_started_names_every_table_to_fill_in(folder: Path, tmp_path: Path) -> None:
+def test_session_that_is_started_is_the_template_with_the_keys_that_were_given(folder: Path, tmp_path: Path) -> None:
     out = tmp_path / "session"
-    ingest_folder(folder, out, kinds=RULES, camera={"layout": "mono"})
-    file = out / "session.toml"
-    document = file.read_text()
-    for line in ("[material]", 'name = "unnamed"', "eta = 1.3 ", "[geometry]", "mm_per_px = 0.05 "):
-        assert f"\n# {line}" in document
-        document = document.replace(f"\n# {line}", f"\n{line}")
-    file.write_text(document)
-    session = read_session(out)
-    assert session.material
-    assert session.geometry
-    assert (session.material.eta, session.geometry.mm_per_px) == (1.3, 0.05)
+    ingest_folder(folder, out, kinds=RULES, camera={"layout": "mono", "white": 4095.0})
+    write_template(tmp_path / "new")
+    started, template = ((path / "session.toml").read_text().splitlines() for path in (out, tmp_path / "new"))
+    changed = [line for line in started if line not in template]
+    assert [line.split("#")[0].strip() for line in changed] == ['layout = "mono"', "white = 4095.0"]
+    assert [line.partition("#")[2] for line in changed if "#" in line]
+    assert len(started) == len(template)
+    assert sum("aperture_mm" in line for line in started) == 1
+    session = read_session(out, complete=True)
+    assert (session.camera.layout, session.camera.white, session.camera.aperture_mm) == ("mono", 4095.0, 6.25)
 
 
 def test_the_last_rule_that_matches_wins(folder: Path, tmp_path: Path) -> None:
@@ -140,11 +138,11 @@ def test_verify_finds_everything_that_changed(folder: Path, tmp_path: Path) -> N
     table = out / "frames.csv"
     table.write_text("".join(line for line in table.read_text().splitlines(True) if "lid/c_10ms" not in line))
     faults = verify_session(out).faults
-    for text in ("[material]", "[geometry]", "[reference]", "a_10ms_1.tif: is not there", "b_0.25s.tif: has changed"):
+    for text in ('"unnamed"', "a_10ms_1.tif: is not there", "b_0.25s.tif: has changed"):
         assert sum(text in fault for fault in faults) == 1
     assert sum("no sample_dark or dark of 0.01 s" in fault for fault in faults) == 1
     assert sum("no reference_dark or dark of 0.01 s" in fault for fault in faults) == 1
-    assert len(faults) == 7
+    assert len(faults) == 5
 
 
 def test_verify_passes_a_session_that_is_complete(folder: Path, tmp_path: Path) -> None:

@@ -49,10 +49,10 @@ SESSION_CASES = {
     "gain 0": ("[camera]\ngain_e_per_dn = 0\n", ["gain_e_per_dn = 0", "> 0"]),
     "eta not finite": ('[camera]\n[material]\nname = "x"\neta = inf\n', ["[material] eta = inf", "finite"]),
     "eta negative": ('[camera]\n[material]\nname = "x"\neta = -1.5\n', ["eta = -1.5", "> 0"]),
-    "no eta": ('[camera]\n[material]\nname = "x"\n', ["[material] lacks eta"]),
+    "no eta": ('[camera]\n[material]\nname = "x"\n', ["lacks [material] eta", "eta = 1.5"]),
     "g of 1": ('[camera]\n[material]\nname = "x"\neta = 1.3\ng = 1.0\n', ["g = 1.0", "< 1"]),
     "an unknown cover": ('[camera]\n[material]\nname = "x"\neta = 1.3\ncover = "foil"\n', ["cover = 'foil'", "glass"]),
-    "no scale": ("[camera]\n[geometry]\n", ["[geometry] lacks mm_per_px"]),
+    "no scale": ("[camera]\n[geometry]\n", ["lacks [geometry] mm_per_px"]),
     "two scales": (
         "[camera]\n[geometry]\nmm_per_px = 1.0\nhomography = [[1,0,0],[0,1,0],[0,0,1]]\n",
         ["mm_per_px", "homography", "keep one"],

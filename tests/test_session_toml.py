@@ -87,6 +87,21 @@ def test_template_is_a_session_and_every_commented_key_too(tmp_path: Path) -> No
             assert set(table) == set(checks)
 
 
+def test_every_missing_key_is_named_at_once_with_a_line_that_gives_it(tmp_path: Path) -> None:
+    (tmp_path / "session.toml").write_text('[camera]\n[material]\nname = "wax"\n')
+    with pytest.raises(InputError) as caught:
+        read_session(tmp_path, complete=True)
+    assert str(caught.value).endswith(
+        "session.toml: lacks [material] eta, [geometry] with mm_per_px, [reference] with name and reflectance; "
+        "add lines such as `[material] eta = 1.5`, `[geometry] mm_per_px = 0.05`, "
+        '`[reference] name = "Spectralon" reflectance = [0.99, 0.99, 0.99]`'
+    )
+    (tmp_path / "session.toml").write_text("[camera]\n[geometry]\nhomography = [[1, 0, 0], [0, 1, 0], [0, 0, 1]]\n")
+    with pytest.raises(InputError, match=r"lacks \[material\] with name and eta, \[reference\]"):
+        read_session(tmp_path, complete=True)
+    assert read_session(tmp_path).material is None
+
+
 def test_template_keeps_a_session_that_is_there(tmp_path: Path) -> None:
     write_template(tmp_path)
     (tmp_path / "session.toml").write_text("[camera]\n")
