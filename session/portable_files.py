@@ -56,7 +56,9 @@ def read_npy(path: Path) -> list[RawFrame]:
     """An array (h, w) or (h, w, 3); one axis more in front makes a stack."""
     try:
         data = np.load(path, allow_pickle=False, mmap_mode="r")
-    except (OSError, ValueError, EOFError, SyntaxError, TypeError, MemoryError) as error:
+    except FileNotFoundError as error:
+        raise InputError(f"{path}: is not there; check the path") from error
+    except Exception as error:  # whatever numpy's parser meets in a damaged header
         raise _damaged(path, f"NPY ({error})") from error
     if not isinstance(data, np.ndarray) or data.dtype.kind not in "uif" or data.ndim not in (2, 3, 4):
         raise InputError(f"{path}: is no array of numbers (h, w) or (h, w, 3); save one")

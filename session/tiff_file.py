@@ -6,6 +6,7 @@ tifffile decodes what Python alone can, imagecodecs (the extra `formats`) most o
 from __future__ import annotations
 
 import logging
+import struct
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -77,6 +78,7 @@ def _opened(path: Path) -> Iterator[tifffile.TiffFile]:
     try:
         with tifffile.TiffFile(path) as tif:
             tif.pages.useframes = False  # else the tags of all pages but the first are taken for the first's
+            _check_chain(path, tif)
             yield tif
     except InputError:
         raise
@@ -85,6 +87,18 @@ def _opened(path: Path) -> Iterator[tifffile.TiffFile]:
     except Exception as error:  # whatever tifffile meets in a damaged file
         reason = " ".join(str(error).split()) or type(error).__name__
         raise InputError(f"{path}: cannot be read as TIFF ({reason[:120]}); copy or take the file again") from error
+
+
+def _check_chain(path: Path, tif: tifffile.TiffFile) -> None:
+    """InputError where the last directory points beyond the end of the file: tifffile stops there in silence."""
+    form, file = tif.tiff, tif.filehandle
+    at = tif.pages[-1].offset
+    file.seek(at)
+    (n_tags,) = struct.unpack(form.tagnoformat, file.read(form.tagnosize))
+    file.seek(at + form.tagnosize + n_tags * form.tagsize)
+    (following,) = struct.unpack(form.offsetformat, file.read(form.offsetsize))
+    if following >= file.size:
+        raise InputError(f"{path}: is cut short at {file.size} bytes; copy or take the file again")
 
 
 def _with_children(pages: list[Any]) -> Iterator[Any]:

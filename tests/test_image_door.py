@@ -1,0 +1,411 @@
+"""One door for images: numbers as they are stored whatever the container, or a refusal that names the cause."""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import OpenImageIO as oiio
+import pytest
+import tifffile
+from numpy.typing import NDArray
+
+from bssrdf.errors import InputError
+from bssrdf.session.frame_files import read_card, read_frame_file, read_frames_of, read_linear_image
+
+RNG = np.random.default_rng(3)
+DN = RNG.integers(20, 4000, (12, 16)).astype(np.uint16)
+RGB = np.stack([DN, DN // 2, DN // 3], -1)
+FLOATS = RNG.random((12, 16, 3)).astype(np.float32)
+DNG = [(50706, "B", 4, bytes([1, 4, 0, 0]), True)]
+CFA = [(33421, "H", 2, (2, 2), True), (33422, "B", 4, bytes((0, 1, 1, 2)), True)]
+
+
+def tiff(data: NDArray[Any], **options: Any) -> Callable[[Path], None]:
+    options.setdefault("photometric", "rgb" if data.ndim == 3 and data.shape[-1] > 2 else "minisblack")
+    return lambda path: tifffile.imwrite(path, data, metadata=None, **options)
+
+
+def content(data: bytes) -> Callable[[Path], None]:
+    return lambda path: path.write_bytes(data) and None
+
+
+def packed(data: NDArray[np.uint16], bits: int) -> Callable[[Path], None]:
+    """A TIFF whose samples of `bits` follow each other without a gap, high bit first, rows padded to bytes."""
+    planes = (data[..., None] >> np.arange(bits - 1, -1, -1)) & 1
+    rows = np.packbits(planes.reshape(len(data), -1).astype(np.uint8), axis=1).tobytes()
+    tags = [(256, 4, data.shape[1]), (257, 4, len(data)), (258, 3, bits), (259, 3, 1), (262, 3, 1), (273, 4, 8)]
+    tags += [(277, 3, 1), (278, 4, len(data)), (279, 4, len(rows))]
+    directory = struct.pack("<H", len(tags)) + b"".join(struct.pack("<HHII", *tag[:2], 1, tag[2]) for tag in tags)
+    return content(b"II*\0" + struct.pack("<I", 8 + len(rows)) + rows + directory + b"\0\0\0\0")
+
+
+def fits(data: NDArray[Any], *cards: str, unit: str = "SIMPLE  =                    T") -> bytes:
+    sizes = [f"NAXIS{i + 1:<3}= {n:20}" for i, n in enumerate(reversed(data.shape))]
+    bits = data.dtype.itemsize * (8 if data.dtype.kind in "ui" else -8)
+    head = "".join(
+        card.ljust(80) for card in [unit, f"BITPIX  = {bits:20}", f"NAXIS   = {data.ndim:20}", *sizes, *cards, "END"]
+    )
+    padded = (text + pad * (-len(text) % 2880) for text, pad in ((head.encode(), b" "), (data.tobytes(), b"\0")))
+    return b"".join(padded)
+
+
+def png(path: Path, *chunks: tuple[bytes, bytes], data: NDArray[Any] = DN) -> None:
+    """A PNG with further chunks before its pixels."""
+    channels, depth = (3 if data.ndim == 3 else 1), 8 * data.dtype.itemsize
+    rows = data.astype(data.dtype.newbyteorder(">")).reshape(len(data), -1)
+    pixels = zlib.compress(b"".join(b"\0" + row.tobytes() for row in rows))
+    header = struct.pack(">IIBBBBB", data.shape[1], data.shape[0], depth, 2 if channels == 3 else 0, 0, 0, 0)
+    parts = [(b"IHDR", header), *chunks, (b"IDAT", pixels), (b"IEND", b"")]
+    body = b"".join(
+        struct.pack(">I", len(part)) + name + part + struct.pack(">I", zlib.crc32(name + part)) for name, part in parts
+    )
+    path.write_bytes(b"\x89PNG\r\n\x1a\n" + body)
+
+
+def exr(path: Path, parts: list[tuple[str, tuple[str, ...], NDArray[np.float32]]], **window: int) -> None:
+    specs = []
+    for name, channels, data in parts:
+        spec = oiio.ImageSpec(data.shape[1], data.shape[0], len(channels), "float")
+        spec.channelnames = channels
+        for key, value in window.items():
+            setattr(spec, key, value)
+        if name:
+            spec.attribute("oiio:subimagename", name)
+        specs.append(spec)
+    output: Any = oiio.ImageOutput.create(str(path))
+    assert output.open(str(path), specs if len(specs) > 1 else specs[0])
+    for i, (_, _, data) in enumerate(parts):
+        assert i == 0 or output.open(str(path), specs[i], "AppendSubimage")
+        assert output.write_image(np.ascontiguousarray(data))
+    assert output.close()
+
+
+def radiance(path: Path, rgbe: NDArray[np.uint8], *lines: str, kind: str = "rgbe", rows: str = "-Y {} +X {}") -> None:
+    head = "\n".join(["#?RADIANCE", f"FORMAT=32-bit_rle_{kind}", *lines, "", rows.format(*rgbe.shape[:2]), ""])
+    path.write_bytes(head.encode() + rgbe.tobytes())
+
+
+THUMBNAIL = DN[::4, ::4].copy()
+
+
+def with_thumbnail(path: Path) -> None:
+    with tifffile.TiffWriter(path) as writer:
+        writer.write(THUMBNAIL, subfiletype=1, metadata=None)
+        writer.write(DN, metadata=None)
+
+
+@pytest.mark.parametrize(
+    ("name", "write", "expected"),
+    [
+        ("a.pgm", content(b"P5\n# a comment\n16 12\n4095\n" + DN.astype(">u2").tobytes()), DN),
+        ("a.ppm", content(b"P6 16 12 4095\n" + RGB.astype(">u2").tobytes()), RGB),
+        ("a.pfm", content(b"PF\n16 12\n-1.0\n" + FLOATS[::-1].astype("<f4").tobytes()), FLOATS),
+        ("a.npy", lambda path: np.save(path, DN), DN),
+        ("a.npy", lambda path: np.save(path, np.asfortranarray(RGB.astype(">u2"))), RGB),
+        ("a.fits", content(fits((DN.astype(int) - 32768).astype(">i2"), "BZERO   =                32768")), DN),
+        ("a.fits", content(fits(FLOATS[..., 0].astype(">f4"), "BSCALE  =                  2.0")), 2 * FLOATS[..., 0]),
+        ("a.png", png, DN),
+        ("a.png", lambda path: png(path, (b"gAMA", struct.pack(">I", 100_000)), data=RGB), RGB),
+        ("a10.tif", packed(DN & 1023, 10), DN & 1023),
+        ("a12.tif", packed(DN, 12), DN),
+        ("a14.tif", packed(DN * 3, 14), DN * 3),
+        ("planar.tif", tiff(RGB.transpose(2, 0, 1).copy(), planarconfig="separate", photometric="rgb"), RGB),
+        ("alpha.tif", tiff(np.dstack([RGB, np.full_like(DN, 65535)]), extrasamples=["unassalpha"]), RGB),
+        ("thumb.tif", with_thumbnail, DN),
+        ("big.tif", tiff(DN, bigtiff=True, byteorder=">"), DN),
+        (
+            "tiles.tif",
+            tiff(np.tile(DN, (4, 4)), tile=(16, 32), compression="zlib", predictor=True),
+            np.tile(DN, (4, 4)),
+        ),
+        ("lzma.tif", tiff(DN, compression="lzma"), DN),
+        ("linear.dng", tiff(RGB, photometric=34892, extratags=DNG), RGB),
+        ("deflate.dng", tiff(DN, photometric=32803, compression="zlib", extratags=[*DNG, *CFA]), DN),
+        ("a.exr", lambda path: exr(path, [("", ("R", "G", "B"), FLOATS)]), FLOATS),
+    ],
+)
+def test_numbers_are_those_that_were_stored(
+    tmp_path: Path, name: str, write: Callable[[Path], None], expected: NDArray[Any]
+) -> None:
+    write(tmp_path / name)
+    frame = read_frame_file(tmp_path / name)
+    np.testing.assert_array_equal(frame.data, expected)
+    assert (frame.card.height_px, frame.card.width_px) == expected.shape[:2]
+    assert frame.layout == ("rgb" if expected.ndim == 3 else "RGGB" if "deflate" in name else None)
+    assert read_card(tmp_path / name).card == frame.card
+
+
+@pytest.mark.parametrize("compression", ["zstd", "lzw", "jpegxl", "jpegxr"])
+def test_codes_of_the_extra_are_read(tmp_path: Path, compression: str) -> None:
+    pytest.importorskip("imagecodecs", reason="the extra `formats` is not installed")
+    data = DN if compression != "jpegxr" else DN.astype(np.uint8)
+    options = {"compressionargs": {"level": 0.0, "lossless": True}} if compression == "jpegxl" else {}
+    tifffile.imwrite(tmp_path / "a.tif", data, compression=compression, metadata=None, **options)
+    frame = read_frame_file(tmp_path / "a.tif")
+    assert frame.data.shape == data.shape
+    if compression != "jpegxr":
+        np.testing.assert_array_equal(frame.data, data)
+        tifffile.imwrite(
+            tmp_path / "a.dng", data, compression=compression, photometric=32803, extratags=[*DNG, *CFA], **options
+        )
+        if compression == "jpegxl":
+            np.testing.assert_array_equal(read_frame_file(tmp_path / "a.dng").data, data)
+
+
+@pytest.mark.parametrize("name", ["a12.tif", "lzw.tif", "zstd.tif"])
+def test_without_the_extra_lzw_and_packed_bits_are_read_and_others_name_it(
+    tmp_path: Path, name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if name == "a12.tif":
+        packed(DN, 12)(tmp_path / name)
+    else:
+        pytest.importorskip("imagecodecs", reason="the extra `formats` writes these files")
+        tifffile.imwrite(tmp_path / name, DN, compression=name.split(".")[0], metadata=None)
+
+    def refuse(*_: Any, **__: Any) -> None:
+        raise ValueError("<COMPRESSION> requires the 'imagecodecs' package")
+
+    monkeypatch.setattr(tifffile.TiffPage, "asarray", refuse)
+    if name == "zstd.tif":
+        with pytest.raises(InputError, match=r"compressed by ZSTD; `pip install 'bssrdf\[formats\]'`"):
+            read_frame_file(tmp_path / name)
+    else:
+        np.testing.assert_array_equal(read_frame_file(tmp_path / name).data, DN)
+
+
+def icc(exponent: float) -> bytes:
+    """A colour profile of which only the red curve matters."""
+    curve = b"curv\0\0\0\0" + struct.pack(">IH", 1, round(256 * exponent))
+    return bytes(128) + struct.pack(">I4sII", 1, b"rTRC", 144, len(curve)) + curve
+
+
+QUAD = (33421, "H", 2, (4, 4), True), (33422, "B", 16, bytes((0, 0, 1, 1) * 2 + (1, 1, 2, 2) * 2), True)
+COLOURS = np.zeros((3, 256), np.uint16)
+
+
+@pytest.mark.parametrize(
+    ("name", "write", "cause"),
+    [
+        ("a.tif", tiff(DN.astype(np.uint8), photometric="palette", colormap=COLOURS), "a palette picture"),
+        ("a.tif", tiff(np.dstack([RGB, DN]), photometric="separated"), "a CMYK picture"),
+        ("a.tif", tiff(RGB, photometric="cielab"), "a CIELAB picture"),
+        ("a.tif", tiff(RGB.astype(np.uint8), photometric="ycbcr"), "a YCbCr picture"),
+        ("a.tif", tiff(DN, photometric="miniswhite"), "an inverted picture"),
+        ("a.tif", tiff(RGB, iccprofile=icc(2.2)), "gamma encoded"),
+        ("a.tif", tiff(np.dstack([RGB, DN]), extrasamples=["unassalpha"]), "4 channels, the last not opaque"),
+        ("a.tif", tiff(np.zeros((4, 4), np.complex64)), "complex64"),
+        ("a.tif", tiff(DN, photometric=32803, extratags=QUAD), "quad Bayer"),
+        ("a.dng", tiff(DN, photometric=32803, extratags=[*DNG, *QUAD]), "quad Bayer"),
+        ("a.png", lambda path: png(path, (b"sRGB", b"\0")), "gamma encoded"),
+        ("a.png", lambda path: png(path, (b"gAMA", struct.pack(">I", 45_455))), "gamma encoded"),
+        ("a.png", lambda path: png(path, data=DN.astype(np.uint8)), "8 bits"),
+        ("a.npy", lambda path: np.save(path, DN > 5), "no array of numbers"),
+        ("a.fits", content(fits(DN.astype(">i2"), unit="XTENSION= 'BINTABLE'")), "no picture"),
+        ("a.exr", lambda path: exr(path, [("", ("X", "Y", "Z"), FLOATS)]), "'X', 'Y', 'Z'"),
+    ],
+)
+def test_what_is_not_light_is_refused_by_name(
+    tmp_path: Path, name: str, write: Callable[[Path], None], cause: str
+) -> None:
+    write(tmp_path / name)
+    with pytest.raises(InputError, match=cause):
+        read_frame_file(tmp_path / name)
+
+
+def test_profile_that_says_linear_is_believed(tmp_path: Path) -> None:
+    tiff(RGB, iccprofile=icc(1.0))(tmp_path / "a.tif")
+    np.testing.assert_array_equal(read_frame_file(tmp_path / "a.tif").data, RGB)
+
+
+STACK = np.stack([DN, DN // 2, DN // 4])
+
+
+@pytest.mark.parametrize(
+    ("name", "write"),
+    [
+        ("a.tif", tiff(STACK, photometric="minisblack")),
+        ("a.npy", lambda path: np.save(path, STACK)),
+        ("a.fits", content(fits(STACK.astype(">i2")))),
+        (
+            "a.fits",
+            content(
+                fits(DN.astype(">i2")) + b"".join(fits(x.astype(">i2"), unit="XTENSION= 'IMAGE'") for x in STACK[1:])
+            ),
+        ),
+        ("a.pgm", content(b"".join(b"P5 16 12 4095\n" + page.astype(">u2").tobytes() for page in STACK))),
+    ],
+)
+def test_a_stack_is_read_whole_and_never_taken_for_its_first_picture(
+    tmp_path: Path, name: str, write: Callable[[Path], None]
+) -> None:
+    write(tmp_path / name)
+    np.testing.assert_array_equal([frame.data for frame in read_frames_of(tmp_path / name)], STACK)
+    with pytest.raises(InputError, match=r"holds 3 pictures; a stack is a bracket"):
+        read_frame_file(tmp_path / name)
+
+
+def test_pictures_of_different_sizes_are_no_stack(tmp_path: Path) -> None:
+    with tifffile.TiffWriter(tmp_path / "a.tif") as writer:
+        for data in (DN, DN[:6]):
+            writer.write(data, metadata=None)
+    with pytest.raises(InputError, match="different sizes"):
+        read_frames_of(tmp_path / "a.tif")
+
+
+@pytest.mark.parametrize("order", ["TZCYX", "CTZYX"])
+def test_ome_tells_the_exposure_of_each_plane(tmp_path: Path, order: str) -> None:
+    exposures = [1.0, 4.0, 16.0]
+    shape = tuple(3 if axis == "T" else 1 for axis in order[:3])
+    plane = {"ExposureTime": exposures, "ExposureTimeUnit": ["ms"] * 3}
+    tifffile.imwrite(tmp_path / "a.ome.tif", STACK.reshape(*shape, 12, 16), metadata={"axes": order, "Plane": plane})
+    frames = read_frames_of(tmp_path / "a.ome.tif")
+    assert [frame.exposure_s for frame in frames] == [0.001, 0.004, 0.016]
+    assert [frame.exposure_rel_sd for frame in frames] == [0.001] * 3
+
+
+def test_pages_tell_their_own_exposures(tmp_path: Path) -> None:
+    with tifffile.TiffWriter(tmp_path / "a.tif") as writer:
+        for i, data in enumerate(STACK):
+            writer.write(data, metadata=None, extratags=[(33434, "2I", 1, (1, 10 + i), True)])
+        writer.write(DN, metadata=None, extratags=[(51123, "s", 0, '{"Exposure-ms": 2.5}', True)])
+    assert [frame.exposure_s for frame in read_frames_of(tmp_path / "a.tif")] == [
+        *(pytest.approx(1 / (10 + i)) for i in range(3)),
+        0.0025,
+    ]
+
+
+def test_fits_tells_camera_exposure_and_pattern(tmp_path: Path) -> None:
+    cards = ["BAYERPAT= 'RGGB    '", "YBAYROFF=                    1", "EXPTIME =                 0.25 / [s]"]
+    cards += ["GAIN    =                  120", "CCD-TEMP=                -10.5", "DATE-OBS= '2024-01-02T03:04:05'"]
+    cards += ["INSTRUME= 'ZWO ASI''s'"]
+    (tmp_path / "a.fits").write_bytes(fits(DN.astype(">i2"), *cards))
+    frame = read_frame_file(tmp_path / "a.fits")
+    card = frame.card
+    assert (card.layout, card.gain, card.temperature_c) == ("GBRG", 120.0, -10.5)
+    assert (frame.exposure_s, frame.exposure_rel_sd, frame.utc) == (0.25, 0.001, "2024-01-02T03:04:05")
+
+
+def test_tiff_tells_exposure_iso_and_lens(tmp_path: Path) -> None:
+    tags = [
+        (272, "s", 0, "Model 1\n", True),
+        (34855, "H", 1, 400, True),
+        (33437, "2I", 1, (56, 10), True),
+        (37386, "2I", 1, (50, 1), True),
+        (42036, "s", 0, "50mm  f/1.8", True),
+        (36867, "s", 0, "2024:01:02 03:04:05", True),
+        (36881, "s", 0, "+02:00", True),
+        (37888, "2i", 1, (-55, 10), True),
+    ]
+    tiff(DN, extratags=tags)(tmp_path / "a.tif")
+    frame = read_card(tmp_path / "a.tif")
+    card = frame.card
+    assert (card.camera, card.lens, card.iso, card.f_number) == ("Model 1", "50mm f/1.8", 400.0, 5.6)
+    assert (card.focal_mm, card.temperature_c, card.bits) == (50.0, -5.5, 16)
+    assert frame.utc == "2024-01-02T03:04:05+02:00"
+
+
+@pytest.mark.parametrize(("x", "y"), [(3, 2), (-4, -1), (0, 0)])
+def test_data_window_is_put_in_its_place(tmp_path: Path, x: int, y: int) -> None:
+    window = {"x": x + 5, "y": y + 7, "full_x": 5, "full_y": 7, "full_width": 20, "full_height": 15}
+    exr(tmp_path / "a.exr", [("", ("R", "G", "B"), FLOATS)], **window)
+    whole = np.full((40, 40, 3), np.nan, np.float32)
+    whole[10 + y : 22 + y, 10 + x : 26 + x] = FLOATS
+    np.testing.assert_array_equal(read_linear_image(tmp_path / "a.exr"), whole[10:25, 10:30])
+
+
+def test_the_one_picture_of_layers_and_parts_is_found(tmp_path: Path) -> None:
+    path, (red, green, blue) = tmp_path / "a.exr", np.moveaxis(FLOATS, -1, 0)
+    layered = ("albedo.B", "albedo.G", "albedo.R", "R", "G", "B")
+    exr(path, [("", layered, np.dstack([FLOATS + 1, FLOATS]))])
+    np.testing.assert_array_equal(read_linear_image(path), FLOATS)
+    exr(path, [("", ("beauty.R", "beauty.G", "beauty.B"), FLOATS)])
+    np.testing.assert_array_equal(read_linear_image(path), FLOATS)
+    exr(path, [(name, (name,), plane[..., None]) for name, plane in zip("GRB", (green, red, blue), strict=True)])
+    np.testing.assert_array_equal(read_linear_image(path), FLOATS)
+    exr(path, [("left", ("R", "G", "B"), FLOATS), ("depth", ("Z", "ZBack"), FLOATS[..., :2])])
+    np.testing.assert_array_equal(read_linear_image(path), FLOATS)
+    exr(path, [("left", ("R", "G", "B"), FLOATS), ("right", ("R", "G", "B"), FLOATS)])
+    with pytest.raises(InputError, match=r"several pictures \(left, right\)"):
+        read_linear_image(path)
+
+
+RGBE = np.dstack([np.full((2, 3), value, np.uint8) for value in (128, 64, 32, 129)])
+
+
+def test_radiance_is_over_its_exposures(tmp_path: Path) -> None:
+    radiance(tmp_path / "a.hdr", RGBE, "EXPOSURE=4", "EXPOSURE= 0.5", "COLORCORR=1 2 1")
+    np.testing.assert_allclose(read_linear_image(tmp_path / "a.hdr")[0, 0], [0.5, 0.125, 0.125])
+    radiance(tmp_path / "b.hdr", RGBE, "EXPOSURE=0")
+    with pytest.raises(InputError, match="EXPOSURE"):
+        read_linear_image(tmp_path / "b.hdr")
+    radiance(tmp_path / "c.hdr", RGBE, rows="+X {1} -Y {0}")
+    with pytest.raises(InputError, match="rows do not run down"):
+        read_linear_image(tmp_path / "c.hdr")
+
+
+def test_xyze_becomes_rgb_whose_white_is_white(tmp_path: Path) -> None:
+    white = np.dstack([np.full((2, 3), value, np.uint8) for value in (128, 128, 128, 129)])
+    radiance(tmp_path / "a.hdr", white, kind="xyze")
+    np.testing.assert_allclose(read_linear_image(tmp_path / "a.hdr"), 1, rtol=1e-5)
+    red = np.dstack([np.full((2, 3), value, np.uint8) for value in (128, 66, 6, 129)])  # x, y = 0.64, 0.33
+    radiance(tmp_path / "b.hdr", red, kind="xyze")
+    r, g, b = read_linear_image(tmp_path / "b.hdr")[0, 0]
+    assert max(abs(g), abs(b)) < 0.01 * r
+
+
+def test_raw_whose_last_rows_no_sensor_could_have_read_is_cut_short(tmp_path: Path) -> None:
+    """What LibRaw leaves of a cut file of a kind whose tables tell no end, such as RW2."""
+    cut = np.tile(DN + np.uint16(600), (4, 4))
+    cut[40:] = 0
+    tags = [*DNG, *CFA, (50714, "H", 1, 512, True)]
+    tiff(cut, photometric=32803, extratags=tags)(tmp_path / "a.dng")
+    with pytest.raises(InputError, match="cut short: its last rows are empty"):
+        read_frame_file(tmp_path / "a.dng")
+
+
+@pytest.mark.parametrize("name", ["a.tif", "a.dng"])
+def test_stack_or_planes_that_are_cut_are_refused(tmp_path: Path, name: str) -> None:
+    tags = DNG if name == "a.dng" else []
+    data, kind = (RGB, 34892) if name == "a.dng" else (STACK, "minisblack")
+    tiff(data, photometric=kind, extratags=tags, rowsperstrip=2)(tmp_path / name)
+    with tifffile.TiffFile(tmp_path / name) as tif:
+        end = tif.pages[-1].dataoffsets[-1] + tif.pages[-1].databytecounts[-1]
+    whole = (tmp_path / name).read_bytes()
+    (tmp_path / name).write_bytes(whole[: end - 3])
+    with pytest.raises(InputError, match="cut short"):
+        read_frames_of(tmp_path / name)
+
+
+@pytest.mark.parametrize("suffix", [".pgm", ".fits", ".npy", ".png", ".tif", ".exr", ".hdr"])
+def test_rubbish_of_any_name_is_refused_in_one_line(tmp_path: Path, suffix: str) -> None:
+    rng = np.random.default_rng(7)
+    writers: dict[str, Callable[[Path], Any]] = {
+        ".pgm": content(b"P5 16 12 4095\n" + DN.astype(">u2").tobytes()),
+        ".fits": content(fits(DN.astype(">i2"), "BZERO   =                32768")),
+        ".npy": lambda path: np.save(path, DN),
+        ".png": png,
+        ".tif": tiff(STACK, photometric="minisblack", metadata=None)
+        if False
+        else tiff(STACK, photometric="minisblack"),
+        ".exr": lambda path: exr(path, [("", ("R", "G", "B"), FLOATS)]),
+        ".hdr": lambda path: radiance(path, np.tile(RGBE, (8, 8, 1))),
+    }
+    path, lines = tmp_path / f"a{suffix}", []
+    writers[suffix](path)
+    whole = path.read_bytes()
+    for i in range(120):
+        damaged = bytearray(whole[: rng.integers(len(whole))] if i % 3 == 0 else whole)
+        for at in rng.integers(0, max(1, min(len(damaged), 300)), 3 if i % 3 else 0):
+            damaged[at] = rng.integers(256)
+        path.write_bytes(damaged)
+        try:
+            read_frames_of(path)
+        except InputError as error:
+            lines.append(str(error).splitlines())
+    assert len(lines) > 20
+    assert {len(line) for line in lines} == {1}
