@@ -23,22 +23,31 @@ from bssrdf.session.records import ChannelFit, Fit, Slice
 from bssrdf.transport import dipole
 from bssrdf.transport.dipole import Medium
 from bssrdf.transport.engine import MonteCarloMedium, simulate
+from bssrdf.transport.forward import ForwardModel
 from bssrdf.transport.precision import scoped_x64
 
-PHOTONS = 100_000
+PHOTONS = 300_000
 BINS = 40
 SEED = 6
 _CLEAR_SD = 5.0
+_DEGREES = {"mc": 3, "dipole": 10}
+"""Of the polynomial in ln r that the simulation over the model is taken for."""
 COLOURS = {"R": "tab:red", "G": "tab:green", "B": "tab:blue"}
 
 
 class Measured(NamedTuple):
-    """The slice's points as R_d [1/mm²] of a narrow beam over all directions of exit, per entering flux."""
+    """The slice as R_d [1/mm²] of a narrow beam over all directions of exit, per entering flux."""
 
-    r_mm: np.ndarray
+    r_lo_mm: np.ndarray
+    """Edges of the ring that a value is the mean of; equal for a point."""
+    r_hi_mm: np.ndarray
     rd: np.ndarray
     clear: np.ndarray
-    """Whether a point stands out of its noise; all do where errors are unknown."""
+    """Whether a value stands out of its noise; all do where errors are unknown."""
+
+    @property
+    def r_mm(self) -> np.ndarray:
+        return (self.r_lo_mm + self.r_hi_mm) / 2
 
 
 @dataclass(frozen=True)
@@ -54,7 +63,7 @@ class Check:
     total_r: float
     total_r_se: float
     median_departure: float
-    """Median of measured/simulated − 1 over the clear points of the window."""
+    """Median of measured/simulated − 1 over the clear values of the window, each over its own ring."""
 
 
 def validate(fit: Fit, piece: Slice, *, progress: Callable[[str, int, int], None] | None = None) -> list[Check]:
@@ -70,8 +79,12 @@ def validate(fit: Fit, piece: Slice, *, progress: Callable[[str, int, int], None
         tally = simulate(medium, r_edges_mm=edges, n_photons=_photons(medium), seed=SEED)
         value, error = tally.rd()
         centre = (edges[1:] + edges[:-1]) / 2
-        measured = _as_modelled(fit, channel, piece, name)
-        departure = _departure(measured, channel.window_mm, centre, value)
+        model = _model_of(fit, channel)
+        measured = _as_modelled(model, channel, piece, name)
+        expected = _over_rings(
+            model, Medium(channel.sigma_a_per_mm, channel.sigma_sp_per_mm, fit.eta), edges, value, error, measured
+        )
+        departure = _departure(measured, channel.window_mm, expected)
         checks.append(Check(name, measured, centre, value, error, *tally.total_r(), departure))
     return checks
 
@@ -81,29 +94,59 @@ def _photons(medium: MonteCarloMedium) -> int:
     return round(PHOTONS * max(1.0, 30 * medium.sigma_a / (medium.sigma_a + medium.sigma_s * (1 - medium.g))))
 
 
+def _model_of(fit: Fit, channel: ChannelFit) -> ForwardModel:
+    """The table where one ships that holds the medium, else the dipole."""
+    if tabulated(fit.eta, fit.g):
+        table = model_of("mc", fit.eta, fit.g)
+        if 3 * channel.sigma_a_per_mm / (channel.sigma_a_per_mm + channel.sigma_sp_per_mm) < table.q_max**2:
+            return table
+    return model_of("dipole", fit.eta, fit.g)
+
+
 @scoped_x64
-def _as_modelled(fit: Fit, channel: ChannelFit, piece: Slice, name: str) -> Measured:
-    """The measured points, less what spot and camera angle do by the fit's own coefficients."""
-    known = tabulated(fit.eta, fit.g)
-    model = model_of("mc" if known else "dipole", fit.eta, fit.g)
+def _as_modelled(model: ForwardModel, channel: ChannelFit, piece: Slice, name: str) -> Measured:
+    """The measured values, less what spot and camera angle do by the fit's own coefficients."""
     one = jax.tree.map(lambda batch: jnp.asarray(batch[0]), stack([(piece, name)]))
     sigma_tp = channel.sigma_a_per_mm + channel.sigma_sp_per_mm
     q = jnp.sqrt(3 * channel.sigma_a_per_mm / sigma_tp)
     point = Parameters(jnp.log(sigma_tp), jnp.minimum(q, model.q_max), jnp.zeros(()))
     seen = seen_at(model, one, point, blurred=bool(one.spot_radius > 0), camera=piece.exit == "fresnel")
     n = len(piece.channels[name].r_mm)
-    columns = (one.r_lo + one.r_hi) / 2, one.rd / seen.ratio(point), ~(one.rd * one.weight < _CLEAR_SD)
+    columns = one.r_lo, one.r_hi, one.rd / seen.ratio(point), ~(one.rd * one.weight < _CLEAR_SD)
     return Measured(*(np.asarray(column[:n]) for column in columns))
 
 
-def _departure(measured: Measured, window_mm: tuple[float, float], r_mm: np.ndarray, rd: np.ndarray) -> float:
-    r, data, clear = measured
-    inside = (r >= window_mm[0]) & (r <= window_mm[1]) & (data > 0) & clear
-    if not inside.any():
-        return math.nan
-    positive = rd > 0
-    expected = np.exp(np.interp(np.log(r[inside]), np.log(r_mm[positive]), np.log(rd[positive])))
-    return float(np.median(data[inside] / expected - 1))
+@scoped_x64
+def _over_rings(
+    model: ForwardModel, medium: Medium, edges_mm: np.ndarray, rd: np.ndarray, rd_se: np.ndarray, measured: Measured
+) -> np.ndarray:
+    """The simulated annuli as means over the measured rings.
+
+    The model carries them there: the simulation over the model is smooth, which also takes most of its noise away.
+    """
+    known = slice(0, _reach(model, medium, edges_mm))
+    lo, hi = edges_mm[:-1][known], edges_mm[1:][known]
+    of_model = np.asarray(model.bin_average(medium, jnp.asarray(lo), jnp.asarray(hi)))
+    lit = rd[known] > 0
+    log_r = np.log((lo + hi) / 2)
+    ratio = np.polynomial.Polynomial.fit(
+        log_r[lit], (rd[known] / of_model)[lit], _DEGREES[model.name], w=(of_model / rd_se[known])[lit]
+    )
+    rings = (jnp.asarray(np.minimum(edge, hi[-1])) for edge in (measured.r_lo_mm, measured.r_hi_mm))
+    at = np.log(np.clip(measured.r_mm, np.exp(log_r[0]), np.exp(log_r[-1])))
+    return np.asarray(model.bin_average(medium, *rings)) * np.asarray(ratio(at))
+
+
+def _reach(model: ForwardModel, medium: Medium, edges_mm: np.ndarray) -> int:
+    """How many annuli the model holds for: the dipole goes on where its window ends."""
+    farthest = edges_mm * float(medium.sigma_tp)
+    return len(edges_mm) - 1 if model.name == "dipole" else int(np.searchsorted(farthest, model.window_mfp[1])) - 1
+
+
+def _departure(measured: Measured, window_mm: tuple[float, float], expected: np.ndarray) -> float:
+    lo, hi = window_mm
+    inside = (measured.r_mm >= lo) & (measured.r_mm <= hi) & (measured.rd > 0) & measured.clear & (expected > 0)
+    return float(np.median(measured.rd[inside] / expected[inside] - 1)) if inside.any() else math.nan
 
 
 @scoped_x64

@@ -53,7 +53,7 @@ def _one_or_by_channel(item: Check) -> Check:
 def _total(value: Any) -> float:
     if isinstance(value, int | float) and 2 < value <= 100:
         raise ValueError(f"must be a share of the light, not per cent: give {value / 100:g}")
-    return float(number(at_least=1e-12, at_most=TOTAL_R_MAX)(value))
+    return float(number(above=0, at_most=TOTAL_R_MAX)(value))
 
 
 HEADER: dict[str, Check] = {

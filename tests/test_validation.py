@@ -1,0 +1,51 @@
+"""`validate`: what is measured over rings is compared over the same rings."""
+
+from dataclasses import replace
+
+import jax
+import numpy as np
+import pytest
+
+from bssrdf.report import validation
+from bssrdf.report.validation import validate
+from bssrdf.session.records import ChannelFit, ChannelSlice, Fit, Slice
+from bssrdf.transport.dipole import Medium
+from bssrdf.transport.table_cache import table_model
+
+SIGMA_A, SIGMA_SP, ETA = 0.4, 1.0, 1.3
+
+
+def a_fit() -> Fit:
+    channel = ChannelFit(
+        "mc", SIGMA_A, 0.004, (0.39, 0.41), SIGMA_SP, 0.01, (0.98, 1.02), 0.0, 0.1, 0.1, (0.0, 8.0), 8, 1.0, "converged"
+    )
+    return Fit("0", "slice.csv", "", {}, None, ETA, 0.0, {"G": channel})
+
+
+def a_slice(edges: np.ndarray) -> Slice:
+    """The table's light of the fit's medium, as means over wide rings."""
+    with jax.enable_x64(True):
+        rd = np.asarray(table_model(ETA, 0.0).bin_average(Medium(SIGMA_A, SIGMA_SP, ETA), edges[:-1], edges[1:]))
+    middle = (edges[1:] + edges[:-1]) / 2
+    part = ChannelSlice(middle, rd, 0.01 * rd, edges[:-1], edges[1:])
+    return Slice({"G": part}, ETA, "entering", "hemisphere", g=0.0)
+
+
+@pytest.fixture(autouse=True)
+def few_photons(monkeypatch):
+    monkeypatch.setattr(validation, "PHOTONS", 40_000)
+
+
+def test_wide_rings_are_compared_as_rings():
+    rings = a_slice(np.arange(0, 8.5, 1.0))
+    [check] = validate(a_fit(), rings)
+    assert abs(check.median_departure) < 0.01
+    as_points = replace(rings.channels["G"], r_lo_mm=None, r_hi_mm=None)
+    [wrong] = validate(a_fit(), replace(rings, channels={"G": as_points}))
+    assert wrong.median_departure > 0.05
+
+
+def test_without_a_shipped_table_the_dipole_carries_the_simulation(monkeypatch):
+    monkeypatch.setattr(validation, "tabulated", lambda eta, g: False)
+    [check] = validate(a_fit(), a_slice(np.arange(0, 8.5, 0.5)))
+    assert abs(check.median_departure) < 0.02
