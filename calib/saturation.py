@@ -13,6 +13,26 @@ _NARROW = 0.05
 _LEAST_SHARE = 0.1
 _FEW_ABOVE = 0.1
 """Pixels above the plateau, hot ones, to pixels on it."""
+_PILE = 5.0
+"""Samples in the last stretch of a histogram to those in the stretch before, from which they have piled up."""
+_STEPS, _LEAST_ON_STEPS = 2, 4
+_STRETCH, _LEAST_ON_STRETCH = 0.004, 20
+"""A pile of a digital limit is two steps wide, that of a full well some thousandths of the range."""
+_STRAY = 1e-4
+"""Share of the samples that may lie beyond a pile-up: hot pixels of a camera that scales its colours."""
+
+
+def pile_up_dn(values: NDArray[Any], step_dn: float, black_dn: float) -> float | None:
+    """The lower end of the pile-up that ends a histogram of one colour's samples, None where there is none."""
+    top = float(values.max())
+    high = values[values > black_dn + 0.5 * (top - black_dn)].astype(np.float64)
+    for end in (top, float(np.sort(high)[-1 - int(_STRAY * values.size)]) if high.size > _STRAY * values.size else top):
+        for width, least in ((_STEPS * step_dn, _LEAST_ON_STEPS), (_STRETCH * (end - black_dn), _LEAST_ON_STRETCH)):
+            on = np.count_nonzero((high > end - width) & (high <= end))
+            before = np.count_nonzero((high > end - 2 * width) & (high <= end - width))
+            if width > 0 and on >= least and on > _PILE * (1 + before):
+                return end - width if width > _STEPS * step_dn else end
+    return None
 
 
 def plateau_dn(

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-_QUANTISATION_VAR_DN = 1 / 12
+BEND_PIVOT = 0.5
+"""Share of the range at which a bent response is left as it is, so that straightening it changes no scale."""
 
 
 @dataclass(frozen=True)
@@ -17,15 +18,58 @@ class Sensor:
 
     black_dn: float
     saturation_dn: float
-    """A sample of this many DN or more is taken as clipped."""
+    """A sample of this many DN or more is taken as clipped, in the colour that clips first."""
     gain_e_per_dn: float
     read_noise_e: float
     black_clipped: bool = False
     """The converter cuts off at black: noise below it is lost, so that darks tell neither bias nor read noise."""
+    step_dn: float = 1.0
+    """Between neighbouring values: 16 where 12 bits stand at the high end of 16."""
+    saturations_dn: tuple[float, ...] = ()
+    """The same by place in a cell of the mosaic, row by row, or by channel; empty where all are alike."""
+    bend: float = 0.0
+    """Straight signal over shown signal grows by this share over the range."""
+
+    def quantisation_var_dn(self) -> float:
+        """Variance [DN²] that rounding to whole steps adds."""
+        return self.step_dn**2 / 12
 
     def read_var_dn(self) -> float:
         """Variance [DN²] of one sample without light: read noise and quantisation."""
-        return (self.read_noise_e / self.gain_e_per_dn) ** 2 + _QUANTISATION_VAR_DN
+        return (self.read_noise_e / self.gain_e_per_dn) ** 2 + self.quantisation_var_dn()
+
+    def span_dn(self) -> float:
+        """From black to saturation."""
+        return self.saturation_dn - self.black_dn
+
+    def bend_per_dn(self) -> float:
+        """Share by which the straight signal grows over the shown one with each DN."""
+        return self.bend / self.span_dn() if self.bend else 0.0
+
+    def saturation_rows(self, shape: tuple[int, ...]) -> NDArray[np.float32]:
+        """Saturation [DN] of the rows of a cell, each as long as a row of a frame of this shape in memory."""
+        return rows_of(self.saturations_dn or (self.saturation_dn,), shape)
+
+    def unsaturated(self, raw: NDArray[Any]) -> NDArray[np.bool_]:
+        """Which samples of a frame are below saturation."""
+        return by_row(np.less, raw, self.saturation_rows(raw.shape))
+
+
+def rows_of(values: tuple[float, ...], shape: tuple[int, ...]) -> NDArray[np.float32]:
+    """Values by place in a cell, 1, 2 × 2 or one a channel, repeated along the rows of a frame of `shape`."""
+    width = int(np.prod(shape[1:]))
+    cell = np.asarray(values, np.float32)
+    rows = cell.reshape(2, 2) if cell.size == 4 and len(shape) == 2 else cell.reshape(1, -1)
+    return np.ascontiguousarray(np.tile(rows, (1, -(-width // rows.shape[1])))[:, :width])
+
+
+def by_row(operation: np.ufunc, raw: NDArray[Any], rows: NDArray[np.float32]) -> NDArray[Any]:
+    """`operation` of a frame and the rows of a cell, without a plane of the latter."""
+    flat = raw.reshape(len(raw), -1)
+    out = np.empty(flat.shape, bool if operation is np.less else np.float32)
+    for place, row in enumerate(rows):
+        operation(flat[place :: len(rows)], row, out=out[place :: len(rows)])
+    return out.reshape(raw.shape)
 
 
 def master_dark(darks: list[NDArray[Any]]) -> NDArray[Any]:

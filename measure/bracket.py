@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -20,6 +20,11 @@ from bssrdf.session.frame_files import read_frame_file
 from bssrdf.session.frames_csv import dark_for
 from bssrdf.session.raw_frame import RawFrame, by_place
 from bssrdf.session.records import Camera, Frame, FrameKind
+
+Corrections = Mapping[tuple[str, float], Callable[[Sample], Sample]]
+
+LABEL_REL_SD, MEASURED_REL_SD = 0.03, 0.0005
+"""Errors assumed for a label (EXIF rounds by up to 6.7 %) and for a time that the shutter measured."""
 
 
 @dataclass(frozen=True)
@@ -53,10 +58,16 @@ class Bracket:
         """Measured exposure times, nominal where there is none."""
         return [frame.exposure_measured_s or frame.exposure_s for frame in self.frames]
 
-    def shots(self, exposures_s: Sequence[float]) -> list[Shot]:
-        """The frames to merge, each standing for the given time."""
+    def exposure_rel_sd(self, frame: Frame, camera: Camera) -> float:
+        """Relative error of a frame's exposure: stated, or assumed by where it comes from."""
+        assumed = LABEL_REL_SD if frame.exposure_measured_s is None else MEASURED_REL_SD
+        return frame.exposure_rel_sd or camera.exposure_rel_sd or assumed
+
+    def shots(self, exposures_s: Sequence[float], corrections: Corrections | None = None) -> list[Shot]:
+        """The frames to merge, each standing for the given time, with corrections by kind and label."""
+        by_name = corrections or {}
         return [
-            Shot(frame.file, seconds, _Loader(self, frame, darks))
+            Shot(frame.file, seconds, _Loader(self, frame, darks, by_name.get((self.kind, frame.exposure_s))))
             for frame, darks, seconds in zip(self.frames, self.darks, exposures_s, strict=True)
         ]
 
@@ -66,6 +77,7 @@ class _Loader:
     bracket: Bracket
     frame: Frame
     darks: tuple[Frame, ...]
+    correction: Callable[[Sample], Sample] | None
 
     def __call__(self) -> Sample:
         raw = self.bracket.read_whole(self.frame)
@@ -74,7 +86,8 @@ class _Loader:
             if dark.data.shape != raw.data.shape:
                 path = self.bracket.folder / frame.file
                 raise InputError(f"{path}: has {_size(dark.data)}, not the {_size(raw.data)} of {self.frame.file}")
-        return Sample(raw.data, master_dark([_at_black_of(raw, dark) for dark in darks]), len(darks))
+        sample = Sample(raw.data, master_dark([_at_black_of(raw, dark) for dark in darks]), len(darks))
+        return self.correction(sample) if self.correction else sample
 
 
 def bracket_of(kind: FrameKind, folder: Path, frames: Sequence[Frame], response: Response | None = None) -> Bracket:
@@ -135,7 +148,7 @@ def camera_of(bracket: Bracket, camera: Camera) -> Camera:
         raise InputError(f'{path}: does not tell its layout; set layout = "RGGB", "mono" or … in [camera]')
     if (raw.data.ndim == 3) != (layout == "rgb"):
         raise InputError(f'{path}: has {_size(raw.data)}, which does not go with layout = "{layout}" in [camera]')
-    white = camera.white if camera.white is not None else _white(raw)
+    white = camera.white if camera.white is not None else raw.white
     return replace(
         camera,
         layout=layout,
@@ -146,13 +159,6 @@ def camera_of(bracket: Bracket, camera: Camera) -> Camera:
 
 def _mean_black(raw: RawFrame) -> float | None:
     return None if raw.black is None else float(np.mean(raw.black))
-
-
-def _white(raw: RawFrame) -> float:
-    """The file's own white level, else the largest number its pixels can hold."""
-    if raw.white is not None:
-        return raw.white
-    return float(np.iinfo(raw.data.dtype).max) if np.issubdtype(raw.data.dtype, np.integer) else np.inf
 
 
 def _size(data: np.ndarray) -> str:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from bssrdf.calib.exposures import Exposures
+from bssrdf.calib.frame_model import Exposures
 from bssrdf.session.records import Array, Session
 
 _NM_OF_CHANNEL = {"R": 630.0, "G": 532.0, "B": 465.0}
@@ -28,7 +28,8 @@ def exposure_shares(light_by_count: Array, labels_s: Sequence[float], seconds: S
 
 def exposures_rel_sd(sample: dict[float, float], reference: dict[float, float], exposures: Exposures) -> float:
     """Error of the ratio of two images' light by that of the exposure times which decide them."""
-    difference = np.array([sample.get(t, 0.0) - reference.get(t, 0.0) for t in exposures.labels_s])
+    shares = {"sample": sample, "reference": {label: -share for label, share in reference.items()}}
+    difference = np.array([shares.get(kind, {}).get(label, 0.0) for kind, label in exposures.frames])
     return float(np.sqrt(difference @ exposures.covariance @ difference))
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from bssrdf.errors import InputError
 from bssrdf.measure.bracket import bracket_of, camera_of
@@ -46,11 +46,17 @@ def calibrate_camera(session: Session, *, progress: Progress | None = None) -> C
     learnt = learn_camera(brackets, camera, mosaic_period(camera.layout or "mono"), progress)
     sensor = learnt.sensor
     return CameraCalibration(
-        Camera(camera.layout, sensor.black_dn, sensor.saturation_dn, sensor.gain_e_per_dn, sensor.read_noise_e),
+        replace(
+            camera,
+            black=sensor.black_dn,
+            white=sensor.saturation_dn,
+            gain_e_per_dn=sensor.gain_e_per_dn,
+            read_noise_e=sensor.read_noise_e,
+        ),
         learnt.gain_rel_sd,
         learnt.nonlinearity,
-        {label: seconds / label for label, seconds in learnt.exposures.seconds.items()},
-        learnt.exposures.rel_sd,
+        {label: learnt.exposures.factor(kind, label) for kind, label in learnt.exposures.frames},
+        {label: sd for (_, label), sd in zip(learnt.exposures.frames, learnt.exposures.rel_sd.tolist(), strict=True)},
         int(learnt.hot.sum()),
         learnt.flags,
     )

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bssrdf.calib.exposures import Exposures
+from bssrdf.calib.frame_model import Exposures
 from bssrdf.calib.spot import Spot
 from bssrdf.errors import InputError
 from bssrdf.measure.budget import exposure_shares, exposures_rel_sd, speckle_rel_sd

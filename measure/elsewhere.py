@@ -46,7 +46,7 @@ def _with_variance(radiance: Plane, period: int, rel_sd: float | None) -> Hdr:
     return Hdr(
         np.where(usable, radiance, np.float32(np.nan)),
         scatter_variance(numbers, period) if rel_sd is None else np.square(np.float32(rel_sd) * numbers),
-        usable.astype(np.uint8),
+        usable.astype(np.uint16),
         np.where(usable, np.uint8(0), np.uint8(NO_DATA)),
     )
 

@@ -1,49 +1,58 @@
-"""What the frames tell of their own camera: gain, read noise, saturation, hot pixels, exposure times; what moved."""
+"""What the frames tell of their own camera: gain, read noise, hot pixels, scale and black by frame."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bssrdf.calib.exposures import Exposures, Ratio, comparable, measured_ratio, solve_exposures
-from bssrdf.calib.photon_transfer import Gain, clipped_variance, pair_gain, read_noise_dn
+from bssrdf.calib.exposures import Comparison, comparable, compared, signal_weight
+from bssrdf.calib.frame_model import Exposed, Exposures, FrameModel, leak_of, solve_frames
+from bssrdf.calib.photon_transfer import Gain, clipped_variance, pair_gain
 from bssrdf.calib.registration import shift_between
 from bssrdf.calib.saturation import plateau_dn
 from bssrdf.calib.sensor import Sensor
+from bssrdf.measure.blunders import check_light
 from bssrdf.measure.bracket import Bracket
-from bssrdf.measure.levels import Level, levels_of
+from bssrdf.measure.correction import Correction
+from bssrdf.measure.first_look import GAIN_GUESS, MARGIN, first_guess
+from bssrdf.measure.levels import Level, beside, levels_of
 from bssrdf.measure.merge import Progress
+from bssrdf.measure.pixels import places
 from bssrdf.session.records import Camera
 
-_MARGIN = 0.01
-"""Samples this close to saturation, as a share of the range, are taken as clipped: the response bends there."""
 _MAX_PIXELS = 2_000_000
 """More than this many pixels tell nothing new about a pair of exposures."""
 _HOT_SD = 8.0
-_CLIPPED_SHARE = 0.3
-"""Share of a dark's pixels at its lowest value above which the camera clips at black."""
-_GAIN_GUESS = 1.0
 _MOVED_PX = 0.15
 _MOVED_SD = 6.0
 _LABEL_OFF = 0.01
-_RATIOS_DISAGREE = 0.005
+_CONTRADICT = 0.005
 _NONLINEAR = 0.03
 _DRIFT = 0.005
+_SURE_SD = 4.0
+"""An offset or a bend is allowed for where it is that clear."""
+_NOTABLE = 0.1
+"""Share of the read noise below which an offset is not worth the trouble."""
 
 
 @dataclass(frozen=True)
 class Learnt:
-    """The sensor model, the exposure times and what was found on the way."""
+    """The sensor model, what the frames stand for, and what was found on the way."""
 
     sensor: Sensor
     hot: NDArray[np.bool_]
     exposures: Exposures
+    corrections: Mapping[tuple[str, float], Correction]
+    """By kind and label; only where there is something to correct."""
     gain_rel_sd: float
     """NaN where the gain was given or could not be measured."""
     nonlinearity: float
+    """Bend of the response over the range, relative."""
+    contradiction: float
+    """Relative error of each frame's light that the frames' disagreement asks for."""
     flux_rel_sd: dict[str, float]
     """Scatter of the light between repeated frames, by kind."""
     flags: tuple[str, ...]
@@ -51,30 +60,34 @@ class Learnt:
 
 @dataclass
 class _Found:
-    """What the pairs of neighbouring exposures told."""
+    """What the levels and the pairs of neighbouring ones told."""
 
+    frames: list[Exposed] = field(default_factory=list)
     gains: list[Gain] = field(default_factory=list)
-    ratios: list[Ratio] = field(default_factory=list)
-    plateaus: list[float] = field(default_factory=list)
+    comparisons: list[Comparison] = field(default_factory=list)
+    plateaus: dict[int, float] = field(default_factory=dict)
+    """Lowest DN at which pixels stopped following the light, by place in a cell."""
     moved: bool = False
-    flux_rel_sd: dict[str, float] = field(default_factory=dict)
+    levels: dict[str, list[Level]] = field(default_factory=dict)
+    """By kind, without their pixels."""
 
 
 def learn_camera(brackets: Sequence[Bracket], camera: Camera, period: int, progress: Progress | None = None) -> Learnt:
-    """Complete the model of `camera` from the frames of all brackets together."""
-    sensor = _first_guess(brackets, camera)
-    found = _compare(brackets, sensor, period, progress)
-    lowest = min(found.plateaus, default=np.inf)
-    if lowest < sensor.saturation_dn:
-        sensor = replace(sensor, saturation_dn=lowest - _MARGIN * (lowest - sensor.black_dn))
-        found = _compare(brackets, sensor, period, progress)
+    """Complete the model of `camera` from the frames of all brackets together.
 
-    flags = []
+    InputError, naming the frames, where one cannot be of the light that its label says.
+    """
+    sensor, flags = first_guess(brackets, camera)
+    found = _compare(brackets, camera, sensor, period, progress)
+    if found.plateaus:
+        sensor = _lowered(sensor, found.plateaus)
+        found = _compare(brackets, camera, sensor, period, progress)
+
     gain = camera.gain_e_per_dn
     gain_rel_sd = np.nan
     if gain is None:
         estimate = _mean_gain(found.gains)
-        gain, gain_rel_sd = estimate or Gain(_GAIN_GUESS, np.nan)
+        gain, gain_rel_sd = estimate or Gain(GAIN_GUESS / sensor.step_dn, np.nan)
         if estimate is None:
             flags.append("gain_unknown")
     read_noise_e = camera.read_noise_e
@@ -82,67 +95,121 @@ def learn_camera(brackets: Sequence[Bracket], camera: Camera, period: int, progr
         read_noise_e = sensor.read_noise_e / sensor.gain_e_per_dn * gain
     sensor = replace(sensor, gain_e_per_dn=gain, read_noise_e=read_noise_e)
 
-    labels = [frame.exposure_s for bracket in brackets for frame in bracket.frames]
-    exposures = solve_exposures(labels, found.ratios)
-    nonlinearity = max((ratio.nonlinearity for ratio in found.ratios), default=0.0)
+    noise_dn, span_dn = float(np.sqrt(sensor.read_var_dn())), sensor.span_dn()
+    n_colours = _places(found, period)
+    model = solve_frames(found.frames, found.comparisons, n_colours, noise_dn, span_dn)
+    leak, leak_sd = leak_of(model, found.frames, found.comparisons, noise_dn, span_dn)
+    sensor = replace(sensor, bend=model.bend)
+    leak = np.where(np.abs(leak) > np.maximum(_SURE_SD * leak_sd, _NOTABLE * noise_dn), leak, 0.0)
+    names = tuple((frame.kind, frame.label_s) for frame in found.frames)
+    corrections = _corrections(names, model, leak, noise_dn)
+    flux = {kind: max(level.flux_rel_sd(sensor) for level in levels) for kind, levels in found.levels.items()}
     flags += ["black_clipped"] if sensor.black_clipped else []
-    flags += _flags(exposures, found, nonlinearity)
-    return Learnt(sensor, _hot(brackets), exposures, gain_rel_sd, nonlinearity, found.flux_rel_sd, tuple(flags))
+    flags += _flags(found, model, corrections, flux)
+    return Learnt(
+        sensor,
+        _hot(brackets, sensor),
+        Exposures(names, model.log_scale, model.covariance),
+        {name: replace(correction, sensor=sensor) for name, correction in corrections.items()},
+        gain_rel_sd,
+        abs(model.bend),
+        model.contradiction,
+        flux,
+        tuple(flags),
+    )
 
 
-def _first_guess(brackets: Sequence[Bracket], camera: Camera) -> Sensor:
-    """The sensor as the camera table and the shortest darks have it; read noise by a gain that is a guess yet."""
-    shortest = max((bracket.darks[0] for bracket in brackets), key=len)[:2]
-    darks = [brackets[0].read(dark) for dark in shortest]
-    black = camera.black if camera.black is not None else float(np.median(darks[0]))
-    white = float(camera.white if camera.white is not None else np.inf)
-    saturation = white - _MARGIN * (white - black) if np.isfinite(white) else white
-    gain = camera.gain_e_per_dn or _GAIN_GUESS
-    noise_dn = read_noise_dn(darks[0], darks[1] if len(darks) > 1 else None)
-    read_noise_e = camera.read_noise_e if camera.read_noise_e is not None else noise_dn * gain
-    clipped = float(np.mean(darks[0] == darks[0].min())) > _CLIPPED_SHARE
-    return Sensor(black, saturation, gain, read_noise_e, clipped)
+def _places(found: _Found, period: int) -> int:
+    return max((c.colour for c in found.comparisons), default=period**2 - 1) + 1
 
 
-def _compare(brackets: Sequence[Bracket], sensor: Sensor, period: int, progress: Progress | None) -> _Found:
+def _lowered(sensor: Sensor, plateaus: Mapping[int, float]) -> Sensor:
+    """The sensor that saturates at the plateaus which were found by place."""
+    before = sensor.saturations_dn or (sensor.saturation_dn,) * (max(plateaus) + 1)
+    levels = [plateaus[at] - MARGIN * (plateaus[at] - sensor.black_dn) if at in plateaus else np.inf for at in range(4)]
+    lowered = tuple(min(old, new) for old, new in zip(before, levels, strict=False))
+    return replace(sensor, saturation_dn=min(lowered), saturations_dn=lowered)
+
+
+def _compare(
+    brackets: Sequence[Bracket], camera: Camera, sensor: Sensor, period: int, progress: Progress | None
+) -> _Found:
     """Hold each level of each bracket against the one before it."""
     found = _Found()
-    noise_dn = float(np.sqrt(sensor.read_var_dn()))
     for bracket in brackets:
-        scatters = []
-        seconds = dict(zip((f.exposure_s for f in bracket.frames), bracket.exposures_s(), strict=True))
-        before = None
-        for level in levels_of(bracket, sensor.saturation_dn, noise_dn):
-            scatters.append(level.flux_rel_sd)
-            if before is not None:
-                _compare_pair(found, before, level, seconds[level.label_s] / seconds[before.label_s], sensor, period)
-            before = level
+        exposed = _exposed(bracket, camera)
+        done: list[Level] = []
+        for level in levels_of(bracket, sensor):
+            found.frames.append(exposed[level.label_s])
+            found.gains += [level.gain] if level.gain else []
+            if done:
+                _compare_pair(found, done[-1], level, sensor, period)
+                done[-1] = replace(done[-1], signal=np.zeros(0, np.float32), brightest=np.zeros(0))
+            done.append(level)
             if progress:
-                progress(f"compare {bracket.kind}", len(scatters), len(set(seconds)))
-        found.flux_rel_sd[bracket.kind] = max(scatters)
+                progress(f"compare {bracket.kind}", len(done), len(exposed))
+        found.levels[bracket.kind] = done
+    check_light(found.frames, found.comparisons, found.levels)
     return found
 
 
-def _compare_pair(found: _Found, before: Level, level: Level, ratio: float, sensor: Sensor, period: int) -> None:
+def _exposed(bracket: Bracket, camera: Camera) -> dict[float, Exposed]:
+    """What the frames of each label are stated to stand for: the mean where several were measured."""
+    by_label: dict[float, Exposed] = {}
+    seconds = dict[float, list[float]]()
+    for frame, t in zip(bracket.frames, bracket.exposures_s(), strict=True):
+        seconds.setdefault(frame.exposure_s, []).append(t)
+        rel_sd, own = bracket.exposure_rel_sd(frame, camera), frame.exposure_measured_s is not None
+        mean = float(np.mean(seconds[frame.exposure_s]))
+        by_label[frame.exposure_s] = Exposed(bracket.kind, frame.exposure_s, mean, rel_sd, own)
+    return by_label
+
+
+def _compare_pair(found: _Found, before: Level, level: Level, sensor: Sensor, period: int) -> None:
+    second = len(found.frames) - 1
+    ratio = found.frames[second].seconds / found.frames[second - 1].seconds
     a, b = before.signal, level.signal
-    good = (before.brightest < sensor.saturation_dn) & (level.brightest < sensor.saturation_dn)
-    plateau = plateau_dn(a, level.brightest, ratio, sensor.black_dn, sensor.saturation_dn)
-    if plateau is not None:
-        found.plateaus.append(plateau)
-    chosen = good & comparable(a, b, ratio, sensor)
+    fine = before.unsaturated(sensor), level.unsaturated(sensor)
+    near = beside(~fine[0]), beside(~fine[1])
+    chosen = np.zeros(a.shape, bool)
+    for colour, at in enumerate(places(a.shape, period)):
+        span = (sensor.saturations_dn or (sensor.saturation_dn,) * 4)[colour] - sensor.black_dn
+        plateau = plateau_dn(a[at], level.brightest[at], ratio, sensor.black_dn, sensor.black_dn + span)
+        if plateau is not None and plateau < sensor.black_dn + span:
+            found.plateaus[colour] = min(plateau, found.plateaus.get(colour, np.inf))
+        chosen[at] = fine[0][at] & fine[1][at] & comparable(a[at], b[at], ratio, sensor, span)
     _thin_rows(chosen, period)
-    shorter, longer = a[chosen].astype(float), b[chosen].astype(float)
-    measured = measured_ratio(before.label_s, level.label_s, shorter, longer)
-    if measured is None:
-        return
-    found.ratios.append(measured)
+    for colour, at in enumerate(places(a.shape, period)):
+        found.comparisons += _by_brightness(
+            second, colour, (a[at], b[at]), (near[0][at], near[1][at]), chosen[at], ratio, sensor
+        )
     if before.n_frames == level.n_frames == 1:
-        gain = pair_gain(shorter, longer, sensor.read_var_dn() * (1 + 1 / level.n_darks))
+        x, y = (plane[chosen].astype(float) for plane in (a, b))
+        gain = pair_gain(x, y, sensor.read_var_dn() * (1 + 1 / level.n_darks)) if x.sum() > 0 and y.sum() > 0 else None
         found.gains += [gain] if gain else []
     one = (..., 1) if a.ndim == 3 else ...
-    shift = shift_between(a[one], b[one] / np.float32(np.exp(measured.log)), chosen[one], period)
+    light = float(b[chosen].sum(dtype=float)) / max(float(a[chosen].sum(dtype=float)), 1e-300)
+    shift = shift_between(a[one], b[one] / np.float32(light), chosen[one], period) if light > 0 else None
     if shift and shift.length_px > max(_MOVED_PX, _MOVED_SD * shift.sd_px):
         found.moved = True
+
+
+def _by_brightness(
+    second: int,
+    colour: int,
+    signals: tuple[NDArray[np.float32], NDArray[np.float32]],
+    near: tuple[NDArray[np.bool_], NDArray[np.bool_]],
+    chosen: NDArray[np.bool_],
+    ratio: float,
+    sensor: Sensor,
+) -> Iterator[Comparison]:
+    """Comparisons of one colour, those beside saturated pixels apart."""
+    weight = signal_weight(ratio, sensor)
+    for beside_ in ((False, False), (False, True), (True, True)):
+        which = chosen & (near[0] == beside_[0]) & (near[1] == beside_[1])
+        x, y = (signal[which].astype(float) for signal in signals)
+        for shorter, longer, log_var in compared(x, y, weight, sensor.step_dn):
+            yield Comparison(second - 1, second, colour, *beside_, shorter, longer, log_var)
 
 
 def _thin_rows(chosen: NDArray[np.bool_], period: int) -> None:
@@ -160,24 +227,41 @@ def _mean_gain(gains: Sequence[Gain]) -> Gain | None:
     return Gain(float(1 / inverse), float(np.sum(weights) ** -0.5))
 
 
-def _hot(brackets: Sequence[Bracket]) -> NDArray[np.bool_]:
+def _corrections(
+    names: Sequence[tuple[str, float]], model: FrameModel, leak: NDArray[np.float64], noise_dn: float
+) -> dict[tuple[str, float], Correction]:
+    """Offsets of black that are sure, and what saturated neighbours add, by kind and label."""
+    sure = np.abs(model.offset_dn) > np.maximum(_SURE_SD * model.offset_sd_dn, _NOTABLE * noise_dn)
+    offsets = model.offset_dn if sure.any() else np.zeros_like(model.offset_dn)
+    if not (sure.any() or leak.any()):
+        return {}
+    return {
+        name: Correction(tuple(offset.tolist()), tuple(leak.tolist()))
+        for name, offset in zip(names, offsets, strict=True)
+    }
+
+
+def _hot(brackets: Sequence[Bracket], sensor: Sensor) -> NDArray[np.bool_]:
     """Pixels whose dark signal in the longest exposure stands far out."""
     longest = max((bracket.darks[-1][0] for bracket in brackets), key=lambda dark: dark.exposure_s)
     dark = brackets[0].read(longest).astype(np.float32)
     excess = dark - np.median(dark)
-    return excess > _HOT_SD * max(np.sqrt(clipped_variance(excess.astype(float).ravel())), 0.5)
+    noise = np.sqrt(clipped_variance(excess.astype(float).ravel()) + 3 * sensor.quantisation_var_dn())
+    return np.asarray(excess > _HOT_SD * max(noise, np.finfo(np.float32).tiny))
 
 
-def _flags(exposures: Exposures, found: _Found, nonlinearity: float) -> list[str]:
-    off = any(
-        abs(seconds / label - 1) > max(_LABEL_OFF, 3 * exposures.rel_sd[label])
-        for label, seconds in exposures.seconds.items()
-    )
+def _flags(
+    found: _Found, model: FrameModel, corrections: Mapping[tuple[str, float], Correction], flux: Mapping[str, float]
+) -> list[str]:
+    shape = np.eye(len(found.frames)) - 1 / max(len(found.frames), 1)
+    sd = np.sqrt(np.maximum(np.diag(shape @ model.covariance @ shape), 0))
     raised = {
-        "exposure_labels_off": off,
-        "exposure_ratios_disagree": exposures.residual > _RATIOS_DISAGREE,
-        "nonlinear": nonlinearity > _NONLINEAR,
+        "exposure_labels_off": bool(np.any(np.abs(model.log_scale) > np.maximum(_LABEL_OFF, 3 * sd))),
+        "exposure_ratios_disagree": model.contradiction > _CONTRADICT,
+        "nonlinear": abs(model.bend) > _NONLINEAR,
+        "black_offset": any(any(correction.offset_dn) for correction in corrections.values()),
+        "leak": any(any(correction.leak_dn) for correction in corrections.values()),
         "moved": found.moved,
-        "drift": max(found.flux_rel_sd.values()) > _DRIFT,
+        "drift": max(max(flux.values()), model.lamp_rel_sd) > _DRIFT,
     }
     return [flag for flag, is_raised in raised.items() if is_raised]

@@ -1,72 +1,115 @@
-"""The frames of a bracket by exposure label, repeats averaged: what calibration compares."""
+"""The frames of a bracket by exposure label, repeats averaged as they come: what calibration compares."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import groupby
 from typing import Any
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from bssrdf.calib.exposures import least_signal
+from bssrdf.calib.photon_transfer import Gain, pair_gain
+from bssrdf.calib.sensor import Sensor
 from bssrdf.errors import InputError
 from bssrdf.measure.bracket import Bracket
-from bssrdf.measure.merge import Shot, read_ahead
+from bssrdf.measure.merge import Sample, Shot, read_ahead
 
 _DARKER_SD = 5.0
 _LEAST_FLUX_PIXELS = 100
+_MOST_GAIN_PIXELS = 500_000
 
 
-@dataclass(frozen=True)
+@dataclass
 class Level:
-    """All frames of one label."""
+    """All frames of one label; complete once the next one is asked for."""
 
     label_s: float
+    files: list[str]
     signal: NDArray[np.float32]
     """Mean of the frames above their dark [DN]."""
     brightest: NDArray[Any]
     """Largest raw value of each pixel over the frames [DN]."""
-    n_frames: int
     n_darks: int
-    flux_rel_sd: float
-    """Relative scatter of the light between the repeats; 0 for a single frame."""
+    light: list[float] = field(default_factory=list)
+    """Of each frame [DN], over the same pixels, clear of noise and of saturation."""
+    n_light: int = 0
+    """Pixels in that sum."""
+    gain: Gain | None = None
+    """From the first two frames."""
+
+    @property
+    def n_frames(self) -> int:
+        return len(self.files)
+
+    def unsaturated(self, sensor: Sensor) -> NDArray[np.bool_]:
+        """Pixels that no frame of this label saturates."""
+        return sensor.unsaturated(self.brightest)
+
+    def flux_rel_sd(self, sensor: Sensor) -> float:
+        """Relative scatter of the light between the frames beyond that of photons and read noise; 0 if none is sure."""
+        if self.n_frames < 2 or self.n_light < _LEAST_FLUX_PIXELS:
+            return 0.0
+        mean = float(np.mean(self.light))
+        scatter = float(np.var(self.light, ddof=1)) / mean**2
+        noise = (max(mean, 0.0) / sensor.gain_e_per_dn + self.n_light * sensor.read_var_dn()) / mean**2
+        chance = 1 + 3 * np.sqrt(2 / (self.n_frames - 1))
+        return float(np.sqrt(scatter - noise)) if scatter > chance**2 * noise else 0.0
 
 
-def levels_of(bracket: Bracket, saturation_dn: float, noise_dn: float) -> Iterator[Level]:
+def beside(saturated: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Pixels that are saturated or next to one that is, in any channel: charge and read-out carry over."""
+    flat = saturated.any(axis=2) if saturated.ndim == 3 else saturated
+    pixels: NDArray[Any] = flat.astype(np.uint8)
+    near = np.asarray(cv2.dilate(pixels, np.ones((3, 3), np.uint8))) > 0
+    return np.broadcast_to(near[..., None], saturated.shape) if saturated.ndim == 3 else near
+
+
+def levels_of(bracket: Bracket, sensor: Sensor) -> Iterator[Level]:
     """The levels of a bracket, shortest first; InputError where a dark is brighter than its frame."""
     shots = bracket.shots(bracket.exposures_s())
     label = {frame.file: frame.exposure_s for frame in bracket.frames}
     for label_s, group in groupby(read_ahead(shots), key=lambda pair: label[pair[0].name]):
-        signals, brightest, n_darks = [], None, 1
+        level, clear = None, None
         for shot, sample in group:
             signal = np.subtract(sample.raw, sample.dark, dtype=np.float32)
-            _check_brighter_than_dark(shot, signal, noise_dn)
-            signals.append(signal)
-            brightest = sample.raw if brightest is None else np.maximum(brightest, sample.raw)
-            n_darks = sample.n_darks
-        assert brightest is not None
-        mean = np.asarray(np.mean(signals, axis=0), np.float32)
-        scatter = _flux_scatter(signals, mean, brightest < saturation_dn, noise_dn)
-        yield Level(label_s, mean, brightest, len(signals), n_darks, scatter)
+            _check_brighter_than_dark(shot, signal, float(np.sqrt(sensor.read_var_dn())))
+            if level is None or clear is None:
+                level = Level(label_s, [], signal, sample.raw, sample.n_darks)
+                clear = sensor.unsaturated(sample.raw) & (signal > least_signal(sensor))
+                level.n_light = int(np.count_nonzero(clear))
+            else:
+                _add(level, signal, sample, sensor)
+            level.files.append(shot.name)
+            level.light.append(float(signal[clear].sum(dtype=float)))
+        assert level is not None
+        yield level
+
+
+def _add(level: Level, signal: NDArray[np.float32], sample: Sample, sensor: Sensor) -> None:
+    """One more frame of the label."""
+    if level.n_frames == 1:
+        level.gain = _gain_of_two(level, signal, sensor.unsaturated(np.maximum(level.brightest, sample.raw)), sensor)
+    level.signal = level.signal + (signal - level.signal) / np.float32(level.n_frames + 1)
+    level.brightest = np.maximum(level.brightest, sample.raw)
+
+
+def _gain_of_two(level: Level, other: NDArray[np.float32], good: NDArray[np.bool_], sensor: Sensor) -> Gain | None:
+    """From frames of one exposure and one dark: their difference has neither scene nor dark in it."""
+    chosen = np.flatnonzero(good & (level.signal + other > 2 * least_signal(sensor)))
+    chosen = chosen[:: max(1, chosen.size // _MOST_GAIN_PIXELS)]
+    first, second = (plane.reshape(-1)[chosen].astype(float) for plane in (level.signal, other))
+    return pair_gain(first, second, sensor.read_var_dn()) if chosen.size else None
 
 
 def _check_brighter_than_dark(shot: Shot, signal: NDArray[np.float32], noise_dn: float) -> None:
     thin = max(1, signal.shape[0] // 200)
     middle = float(np.median(signal[::thin]))
-    if middle < -_DARKER_SD * max(noise_dn, 0.5):
+    if middle < -_DARKER_SD * noise_dn - np.spacing(noise_dn):
         raise InputError(
             f"{shot.name}: its dark frame is brighter than the frame, by {-middle:.4g} DN in the median; "
             "check that the two were not exchanged, and that the dark has the same exposure"
         )
-
-
-def _flux_scatter(
-    signals: list[NDArray[np.float32]], mean: NDArray[np.float32], good: NDArray[np.bool_], noise_dn: float
-) -> float:
-    """Relative standard deviation of the light of repeated frames, over the pixels that are clear of noise in all."""
-    clear = good & (mean > 10 * max(noise_dn, 0.5))
-    if len(signals) < 2 or clear.sum() < _LEAST_FLUX_PIXELS:
-        return 0.0
-    light = np.array([float(signal[clear].sum(dtype=float)) for signal in signals])
-    return float(np.std(light, ddof=1) / np.mean(light))

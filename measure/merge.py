@@ -17,12 +17,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from bssrdf.calib.sensor import Sensor
+from bssrdf.calib.sensor import BEND_PIVOT, Sensor
 from bssrdf.errors import InputError
 from bssrdf.measure.accumulate import add_light, add_variance, add_weighted
 
 Plane = NDArray[np.float32]
 Bits = NDArray[np.uint8]
+Counts = NDArray[np.uint16]
 
 SATURATED, HOT, NO_DATA = 1, 2, 4
 """Bits of a mask: saturated in every exposure, hot, no usable sample."""
@@ -60,7 +61,7 @@ class Hdr:
 
     radiance: Plane
     variance: Plane
-    count: Bits
+    count: Counts
     mask: Bits
 
 
@@ -76,13 +77,15 @@ def merge(
     *,
     hot: NDArray[np.bool_] | None = None,
     period: int = 1,
+    model_rel_sd: float = 0.0,
     progress: Progress | None = None,
     what: str = "merge",
 ) -> Hdr:
     """Merge frames into radiance [DN/s] with variance, sample count and mask.
 
-    The order of `shots` does not matter to a bit. `period` is 2 on a colour filter mosaic, where the next pixel of
-    the same colour is two away. Frames are read by two threads, twice each; memory is a few planes.
+    `model_rel_sd` is an error of each sample, relative to its light, beyond noise. The order of `shots` does not
+    matter to a bit. `period` is 2 on a colour filter mosaic, where the next pixel of the same colour is two away.
+    Frames are read by two threads, twice each; memory is a few planes.
     """
     ordered = sorted(shots, key=lambda shot: (shot.exposure_s, shot.name))
     steps = 2 * len(ordered)
@@ -104,11 +107,11 @@ def merge(
         signal /= seconds
     again = samples(len(ordered))
     if sensor.black_clipped:
-        radiance, variance = signal, _poisson_variance(again, sensor, signal, seconds)
+        radiance, variance = signal, _poisson_variance(again, sensor, model_rel_sd, signal, seconds)
     else:
         expected = _expected_radiance(signal, seconds, sensor, period)
         del signal, seconds
-        radiance, variance = _reweighted_sum(again, sensor, expected)
+        radiance, variance = _reweighted_sum(again, sensor, model_rel_sd, expected)
     mask = saturated * np.uint8(SATURATED | NO_DATA)
     if hot is not None:
         mask[hot] |= HOT
@@ -133,37 +136,46 @@ def read_ahead(shots: Sequence[Shot]) -> Iterator[tuple[Shot, Sample]]:
             yield shot, sample
 
 
-def _poisson_sum(samples: Iterator[tuple[Shot, Sample]], sensor: Sensor) -> tuple[Plane, Plane, Bits]:
+def _poisson_sum(samples: Iterator[tuple[Shot, Sample]], sensor: Sensor) -> tuple[Plane, Plane, Counts]:
     """Σ(x − d), Σt and the number of unsaturated samples, by pixel."""
     signal = seconds = count = None
     for shot, (raw, dark, _) in samples:
         if signal is None or seconds is None or count is None:
             signal, seconds = np.zeros(raw.shape, np.float32), np.zeros(raw.shape, np.float32)
-            count = np.zeros(raw.shape, np.uint8)
-        saturation, t = np.float32(sensor.saturation_dn), np.float32(shot.exposure_s)
-        add_light(_flat(raw), _flat(dark), saturation, t, _flat(signal), _flat(seconds), _flat(count))
+            count = np.zeros(raw.shape, np.uint16)
+        planes = _rows(signal), _rows(seconds), _rows(count)
+        add_light(_rows(raw), _rows(dark), *_response(sensor, raw), np.float32(shot.exposure_s), *planes)
     if signal is None or seconds is None or count is None:
         raise InputError("no frame to merge; list some in frames.csv")
     return signal, seconds, count
 
 
-def _flat(plane: NDArray[Any]) -> NDArray[Any]:
-    return plane.reshape(-1)
+def _rows(plane: NDArray[Any]) -> NDArray[Any]:
+    """Rows of samples, channels side by side."""
+    return plane.reshape(len(plane), -1)
 
 
-def _terms(shot: Shot, sample: Sample, sensor: Sensor) -> list[Any]:
-    """Saturation [DN], exposure time [s], variance of darkness [DN²] and gain."""
-    values = (sensor.saturation_dn, shot.exposure_s, _darkness_variance(sample, sensor), sensor.gain_e_per_dn)
+def _response(sensor: Sensor, raw: NDArray[Any]) -> tuple[NDArray[np.float32], np.float32, np.float32]:
+    """Rows of saturation [DN], the bend a DN and the signal where it does nothing."""
+    pivot = np.float32(BEND_PIVOT * sensor.span_dn()) if sensor.bend else np.float32(0)
+    return sensor.saturation_rows(raw.shape), np.float32(sensor.bend_per_dn()), pivot
+
+
+def _noise(shot: Shot, sample: Sample, sensor: Sensor, model_rel_sd: float) -> list[Any]:
+    """Exposure time [s], variance of darkness [DN²], gain, and variance of the model relative to the light squared."""
+    values = (shot.exposure_s, _darkness_variance(sample, sensor), sensor.gain_e_per_dn, model_rel_sd**2)
     return [np.float32(value) for value in values]
 
 
-def _reweighted_sum(samples: Iterator[tuple[Shot, Sample]], sensor: Sensor, expected: Plane) -> tuple[Plane, Plane]:
+def _reweighted_sum(
+    samples: Iterator[tuple[Shot, Sample]], sensor: Sensor, model_rel_sd: float, expected: Plane
+) -> tuple[Plane, Plane]:
     """Inverse-variance mean of (x − d)/t and its variance, where the variance is that of `expected` [DN/s]."""
     weighted, weight = np.zeros_like(expected), np.zeros_like(expected)
-    planes: list[Any] = [_flat(plane) for plane in (expected, weighted, weight)]
+    planes = _rows(expected), _rows(weighted), _rows(weight)
     for shot, sample in samples:
-        terms = _terms(shot, sample, sensor)
-        add_weighted(_flat(sample.raw), _flat(sample.dark), *terms, *planes)
+        noise = _noise(shot, sample, sensor, model_rel_sd)
+        add_weighted(_rows(sample.raw), _rows(sample.dark), *_response(sensor, sample.raw), *noise, *planes)
     with np.errstate(divide="ignore", invalid="ignore"):
         weighted /= weight
         np.divide(1, weight, out=weight)
@@ -171,13 +183,16 @@ def _reweighted_sum(samples: Iterator[tuple[Shot, Sample]], sensor: Sensor, expe
     return weighted, weight
 
 
-def _poisson_variance(samples: Iterator[tuple[Shot, Sample]], sensor: Sensor, radiance: Plane, seconds: Plane) -> Plane:
+def _poisson_variance(
+    samples: Iterator[tuple[Shot, Sample]], sensor: Sensor, model_rel_sd: float, radiance: Plane, seconds: Plane
+) -> Plane:
     """Variance of the Poisson sum of `seconds` Σt, each sample's being that of `radiance` [DN/s]."""
     variance = np.zeros_like(radiance)
     expected = np.maximum(np.nan_to_num(radiance), 0)
     for shot, sample in samples:
-        terms = _terms(shot, sample, sensor)
-        add_variance(_flat(sample.raw), *terms, _flat(expected), _flat(variance))
+        noise = _noise(shot, sample, sensor, model_rel_sd)
+        rows = sensor.saturation_rows(sample.raw.shape)
+        add_variance(_rows(sample.raw), rows, *noise, _rows(expected), _rows(variance))
     with np.errstate(divide="ignore", invalid="ignore"):
         variance /= seconds**2
     return variance

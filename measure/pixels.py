@@ -44,14 +44,22 @@ def mosaic_period(layout: str) -> int:
     return 1 if layout in ("mono", "rgb") else 2
 
 
+def places(shape: tuple[int, ...], period: int) -> list[tuple[slice | int, ...]]:
+    """Where the samples of each place of a mosaic's cell, or of each channel, stand in a frame of `shape`."""
+    if len(shape) == 3:
+        return [(slice(None), slice(None), channel) for channel in range(shape[2])]
+    steps = [slice(first, None, period) for first in range(period)]
+    return [(rows, columns) for rows in steps for columns in steps]
+
+
 def grids_of(hdr: Hdr, layout: str, name: str) -> tuple[Grid, ...]:
     """The pixels that carry the channel `name`."""
     if layout == "mono":
         return (_grid(hdr, ..., (0, 0), 1),)
     if layout == "rgb":
         return (_grid(hdr, (..., "RGB".index(name)), (0, 0), 1),)
-    places = [divmod(place, 2) for place, letter in enumerate(layout) if letter == name]
-    return tuple(_grid(hdr, (slice(row, None, 2), slice(column, None, 2)), (column, row), 2) for row, column in places)
+    corners = [divmod(place, 2) for place, letter in enumerate(layout) if letter == name]
+    return tuple(_grid(hdr, (slice(row, None, 2), slice(column, None, 2)), (column, row), 2) for row, column in corners)
 
 
 def _grid(hdr: Hdr, where: Any, first_px: tuple[int, int], step_px: int) -> Grid:

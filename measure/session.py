@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import bssrdf
-from bssrdf.calib.exposures import Exposures, solve_exposures
+from bssrdf.calib.frame_model import Exposures
 from bssrdf.calib.surface import Surface
 from bssrdf.errors import InputError
 from bssrdf.measure.bracket import Bracket, bracket_of, camera_of, layout_of
@@ -113,7 +113,7 @@ def _merged(session: Session, listed: Sequence[Frame], hdr_rel_sd: float | None,
     told = Told(
         {kind: layouts.get(kind, camera.layout or "mono") for kind in images},
         timing,
-        learnt.exposures if learnt else solve_exposures([], []),
+        learnt.exposures if learnt else Exposures(),
         tuple(flags),
         inputs,
     )
@@ -154,10 +154,11 @@ def _merge_all(
     every = {**brackets, "flat": flat} if flat.frames else brackets
     merged = {
         kind: merge(
-            bracket.shots(_timing(bracket, learnt).seconds),
+            bracket.shots(_timing(bracket, learnt).seconds, learnt.corrections),
             learnt.sensor,
             hot=learnt.hot,
             period=mosaic_period(camera.layout or "mono"),
+            model_rel_sd=learnt.contradiction,
             progress=progress,
             what=kind,
         )
@@ -173,7 +174,7 @@ def _timing(bracket: Bracket, learnt: Learnt) -> Timing:
     """Measured or nominal times, corrected by what the overlap of the brackets says of each label."""
     labels = tuple(frame.exposure_s for frame in bracket.frames)
     seconds = tuple(
-        t * learnt.exposures.of(label) / label for t, label in zip(bracket.exposures_s(), labels, strict=True)
+        t * learnt.exposures.factor(bracket.kind, label) for t, label in zip(bracket.exposures_s(), labels, strict=True)
     )
     return Timing(labels, seconds, learnt.flux_rel_sd.get(bracket.kind, 0.0))
 
@@ -213,8 +214,9 @@ def _provenance(
 
 
 def _relative(exposures: Exposures) -> dict[str, float]:
-    """By label, since TOML and JSON have text for keys."""
-    return {f"{label:g}": sd for label, sd in exposures.rel_sd.items()}
+    """By kind and label, since TOML and JSON have text for keys."""
+    sds = exposures.rel_sd.tolist()
+    return {f"{kind} {label:g}": sd for (kind, label), sd in zip(exposures.frames, sds, strict=True)}
 
 
 def _write_curve(folder: Path, measured: Measured) -> None:

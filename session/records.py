@@ -63,6 +63,8 @@ class Camera:
     """DN at saturation."""
     gain_e_per_dn: float | None = None
     read_noise_e: float | None = None
+    exposure_rel_sd: float | None = None
+    """Relative error of the frames' exposures; None: assumed by where each comes from."""
     aperture_mm: float = 6.25
     """Diameter of the lens's entrance pupil, its focal length over the f-number; for the speckle of a laser."""
     response: Literal["debevec"] | None = None

@@ -66,6 +66,7 @@ TABLES: dict[str, tuple[type, dict[str, Check]]] = {
             "white": _POSITIVE,
             "gain_e_per_dn": _POSITIVE,
             "read_noise_e": _NOT_NEGATIVE,
+            "exposure_rel_sd": _POSITIVE,
             "aperture_mm": _POSITIVE,
             "response": choice("debevec"),
         },

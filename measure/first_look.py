@@ -1,0 +1,83 @@
+"""The camera as its table, its darks and its longest exposures show it at first sight: levels, step, read noise."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bssrdf.calib.photon_transfer import read_noise_dn
+from bssrdf.calib.quantisation import step_dn
+from bssrdf.calib.saturation import pile_up_dn
+from bssrdf.calib.sensor import Sensor
+from bssrdf.measure.bracket import Bracket
+from bssrdf.measure.pixels import mosaic_period, places
+from bssrdf.session.records import Camera
+
+MARGIN = 0.01
+"""Samples this close to saturation, as a share of the range, are taken as clipped: the response bends there."""
+GAIN_GUESS = 1.0
+"""Electrons a step, until the frames tell."""
+_CLIPPED_SHARE = 0.3
+"""Share of a dark's pixels at its lowest value above which the camera clips at black,"""
+_ABOVE_SHARE = 0.05
+"""where that value is 0, or this share lies above: a whole dark at one value has noise below a step."""
+_LOWER = 0.005
+"""A pile-up this share of the range below the stated white is another limit than that."""
+
+
+def first_guess(brackets: Sequence[Bracket], camera: Camera) -> tuple[Sensor, list[str]]:
+    """The sensor, its read noise by a gain that is a guess yet, and the flags that its levels raise."""
+    shortest = max((bracket.darks[0] for bracket in brackets), key=len)[:2]
+    darks = [brackets[0].read(dark) for dark in shortest]
+    longest = [bracket.read(bracket.frames[-1]) for bracket in brackets]
+    step = _step([*darks, *longest])
+    black = camera.black if camera.black is not None else float(np.median(darks[0]))
+    saturations, flags = _saturations(longest, camera, step, black)
+    gain = camera.gain_e_per_dn or GAIN_GUESS / (step or 1.0)
+    noise_dn = read_noise_dn(darks[0], darks[1] if len(darks) > 1 else None)
+    read_noise_e = camera.read_noise_e if camera.read_noise_e is not None else noise_dn * gain
+    sensor = Sensor(
+        black,
+        min(saturations),
+        gain,
+        read_noise_e,
+        _clips_at_black(darks[0]),
+        step,
+        saturations if len(set(saturations)) > 1 else (),
+    )
+    return sensor, flags
+
+
+def _step(frames: Sequence[NDArray[np.generic]]) -> float:
+    """The smallest step of several frames: one alone may show every second value only."""
+    return min(step_dn(frame) for frame in frames)
+
+
+def _clips_at_black(dark: NDArray[np.generic]) -> bool:
+    lowest = dark.min()
+    return bool(np.mean(dark == lowest) > _CLIPPED_SHARE and (lowest == 0 or np.mean(dark > lowest) > _ABOVE_SHARE))
+
+
+def _saturations(
+    longest: Sequence[NDArray[np.generic]], camera: Camera, step: float, black: float
+) -> tuple[tuple[float, ...], list[str]]:
+    """Saturation [DN] by place in a cell or channel: where samples pile up, else by the stated white."""
+    at_places = places(longest[0].shape, mosaic_period(camera.layout or "mono"))
+    piles = [
+        min((pile for frame in longest if (pile := pile_up_dn(frame[at], step, black)) is not None), default=np.inf)
+        for at in at_places
+    ]
+    stated = float(camera.white) if camera.white is not None else np.inf
+    tops = [max(float(frame[at].max()) for frame in longest) for at in at_places]
+    whites = [min(pile, stated) for pile in piles]
+    flags = []
+    if not np.isfinite(piles).any():
+        flags.append("white_unseen")
+    if any(pile < stated - _LOWER * (stated - black) for pile in piles if np.isfinite(stated)):
+        flags.append("white_below_stated")
+    return tuple(
+        white - MARGIN * (white - black) if np.isfinite(white) else top + max(step, np.spacing(np.float32(top)))
+        for white, top in zip(whites, tops, strict=True)
+    ), flags
