@@ -12,7 +12,8 @@ from bssrdf.calib.sensor import Sensor
 
 Array = NDArray[np.float64]
 
-_LEAST_SD = 10.0
+_LEAST_SD = 20.0
+"""In units of the noise of a difference: nearer to black an offset decides the ratio."""
 _MOST_SHARE = 0.9
 _BINS = 8
 """Levels of brightness by which a bend and an offset are told from each other and from the ratio."""

@@ -32,7 +32,7 @@ _AS_EXPECTED = 1.5
 _LAMP, _BEND = (0.005, 6.0), (0.05, 2.0)
 _BLACK, _COLOUR, _FRAME = (1.0, 2.0), (1.0, 2.0), (0.5, 4.0)
 """First guess of a spread and how many values it counts for; those of black in units of the read noise."""
-_LEAK_SD = 4.0
+_LEAK_SD = 10.0
 """Spread of what saturated neighbours add, in units of the read noise."""
 _BISECTIONS = 40
 _LEAST_VAR, _MOST_VAR = 1e-12, 1.0

@@ -12,7 +12,7 @@ _LEAST_PIXELS = 20
 _NARROW = 0.05
 _LEAST_SHARE = 0.1
 _FEW_ABOVE = 0.1
-"""Pixels above the plateau, hot ones, to pixels on it."""
+"""Pixels above the plateau, hot ones, to pixels on it; and pixels that should be beyond it and are elsewhere."""
 _PILE = 5.0
 """Samples in the last stretch of a histogram to those in the stretch before, from which they have piled up."""
 _STEPS, _LEAST_ON_STEPS = 2, 4
@@ -50,4 +50,7 @@ def plateau_dn(
         return None
     low, high = np.percentile(stopped, (2, 98))
     above = np.count_nonzero(longer_raw > high + _NARROW * span)
-    return float(low) if high - low < _NARROW * span and above < _FEW_ABOVE * stopped.size else None
+    beyond = longer_raw[shorter * np.float32(ratio) > _FALLS_SHORT * np.float32(high - black_dn)]
+    there = np.count_nonzero((beyond >= low) & (beyond <= high))
+    on_it = 2 * there > stopped.size and beyond.size - there < _FEW_ABOVE * stopped.size
+    return float(low) if high - low < _NARROW * span and on_it and above < _FEW_ABOVE * stopped.size else None

@@ -39,12 +39,16 @@ class Sensor:
         return (self.read_noise_e / self.gain_e_per_dn) ** 2 + self.quantisation_var_dn()
 
     def span_dn(self) -> float:
-        """From black to saturation."""
-        return self.saturation_dn - self.black_dn
+        """From black to saturation, in the colour that clips last."""
+        return max(self.saturations_dn, default=self.saturation_dn) - self.black_dn
 
     def bend_per_dn(self) -> float:
         """Share by which the straight signal grows over the shown one with each DN."""
         return self.bend / self.span_dn() if self.bend else 0.0
+
+    def saturation_at(self, place: int) -> float:
+        """Saturation [DN] at a place in a cell of the mosaic, or of a channel."""
+        return self.saturations_dn[place] if self.saturations_dn else self.saturation_dn
 
     def saturation_rows(self, shape: tuple[int, ...]) -> NDArray[np.float32]:
         """Saturation [DN] of the rows of a cell, each as long as a row of a frame of this shape in memory."""

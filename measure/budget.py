@@ -30,7 +30,7 @@ def exposures_rel_sd(sample: dict[float, float], reference: dict[float, float], 
     """Error of the ratio of two images' light by that of the exposure times which decide them."""
     shares = {"sample": sample, "reference": {label: -share for label, share in reference.items()}}
     difference = np.array([shares.get(kind, {}).get(label, 0.0) for kind, label in exposures.frames])
-    return float(np.sqrt(difference @ exposures.covariance @ difference))
+    return float(np.sqrt(max(difference @ exposures.covariance @ difference, 0.0)))
 
 
 def speckle_rel_sd(spot_radius_mm: float, channel: str, session: Session) -> float:

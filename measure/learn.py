@@ -67,6 +67,8 @@ class _Found:
     comparisons: list[Comparison] = field(default_factory=list)
     plateaus: dict[int, float] = field(default_factory=dict)
     """Lowest DN at which pixels stopped following the light, by place in a cell."""
+    n_places: int = 1
+    """In a cell of the mosaic, or channels."""
     moved: bool = False
     levels: dict[str, list[Level]] = field(default_factory=dict)
     """By kind, without their pixels."""
@@ -80,7 +82,7 @@ def learn_camera(brackets: Sequence[Bracket], camera: Camera, period: int, progr
     sensor, flags = first_guess(brackets, camera)
     found = _compare(brackets, camera, sensor, period, progress)
     if found.plateaus:
-        sensor = _lowered(sensor, found.plateaus)
+        sensor = _lowered(sensor, found.plateaus, found.n_places)
         found = _compare(brackets, camera, sensor, period, progress)
 
     gain = camera.gain_e_per_dn
@@ -96,8 +98,7 @@ def learn_camera(brackets: Sequence[Bracket], camera: Camera, period: int, progr
     sensor = replace(sensor, gain_e_per_dn=gain, read_noise_e=read_noise_e)
 
     noise_dn, span_dn = float(np.sqrt(sensor.read_var_dn())), sensor.span_dn()
-    n_colours = _places(found, period)
-    model = solve_frames(found.frames, found.comparisons, n_colours, noise_dn, span_dn)
+    model = solve_frames(found.frames, found.comparisons, found.n_places, noise_dn, span_dn)
     leak, leak_sd = leak_of(model, found.frames, found.comparisons, noise_dn, span_dn)
     sensor = replace(sensor, bend=model.bend)
     leak = np.where(np.abs(leak) > np.maximum(_SURE_SD * leak_sd, _NOTABLE * noise_dn), leak, 0.0)
@@ -119,15 +120,10 @@ def learn_camera(brackets: Sequence[Bracket], camera: Camera, period: int, progr
     )
 
 
-def _places(found: _Found, period: int) -> int:
-    return max((c.colour for c in found.comparisons), default=period**2 - 1) + 1
-
-
-def _lowered(sensor: Sensor, plateaus: Mapping[int, float]) -> Sensor:
+def _lowered(sensor: Sensor, plateaus: Mapping[int, float], n_places: int) -> Sensor:
     """The sensor that saturates at the plateaus which were found by place."""
-    before = sensor.saturations_dn or (sensor.saturation_dn,) * (max(plateaus) + 1)
-    levels = [plateaus[at] - MARGIN * (plateaus[at] - sensor.black_dn) if at in plateaus else np.inf for at in range(4)]
-    lowered = tuple(min(old, new) for old, new in zip(before, levels, strict=False))
+    levels = {at: plateau - MARGIN * (plateau - sensor.black_dn) for at, plateau in plateaus.items()}
+    lowered = tuple(min(sensor.saturation_at(at), levels.get(at, np.inf)) for at in range(n_places))
     return replace(sensor, saturation_dn=min(lowered), saturations_dn=lowered)
 
 
@@ -172,10 +168,12 @@ def _compare_pair(found: _Found, before: Level, level: Level, sensor: Sensor, pe
     fine = before.unsaturated(sensor), level.unsaturated(sensor)
     near = beside(~fine[0]), beside(~fine[1])
     chosen = np.zeros(a.shape, bool)
+    found.n_places = len(places(a.shape, period))
     for colour, at in enumerate(places(a.shape, period)):
-        span = (sensor.saturations_dn or (sensor.saturation_dn,) * 4)[colour] - sensor.black_dn
-        plateau = plateau_dn(a[at], level.brightest[at], ratio, sensor.black_dn, sensor.black_dn + span)
-        if plateau is not None and plateau < sensor.black_dn + span:
+        saturation = sensor.saturation_at(colour)
+        span = saturation - sensor.black_dn
+        plateau = plateau_dn(a[at], level.brightest[at], ratio, sensor.black_dn, saturation)
+        if plateau is not None and plateau < saturation:
             found.plateaus[colour] = min(plateau, found.plateaus.get(colour, np.inf))
         chosen[at] = fine[0][at] & fine[1][at] & comparable(a[at], b[at], ratio, sensor, span)
     _thin_rows(chosen, period)

@@ -63,7 +63,7 @@ class Level:
 def beside(saturated: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Pixels that are saturated or next to one that is, in any channel: charge and read-out carry over."""
     flat = saturated.any(axis=2) if saturated.ndim == 3 else saturated
-    pixels: NDArray[Any] = flat.astype(np.uint8)
+    pixels: Any = flat.astype(np.uint8)
     near = np.asarray(cv2.dilate(pixels, np.ones((3, 3), np.uint8))) > 0
     return np.broadcast_to(near[..., None], saturated.shape) if saturated.ndim == 3 else near
 

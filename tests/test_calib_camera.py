@@ -8,7 +8,8 @@ import pytest
 import tifffile
 
 from bssrdf.calib.colour import calibrate_colour
-from bssrdf.calib.exposures import comparable, measured_ratio, solve_exposures
+from bssrdf.calib.exposures import Comparison, comparable, compared, signal_weight
+from bssrdf.calib.frame_model import Exposed, solve_frames
 from bssrdf.calib.photon_transfer import pair_gain, read_noise_dn
 from bssrdf.calib.registration import shift_between
 from bssrdf.calib.response import fit_response
@@ -30,47 +31,47 @@ def signal(light_dn, rng):
     return np.rint(electrons / SENSOR.gain_e_per_dn).astype(np.float32)
 
 
-def solved_exposures(true_s, radiance, seed=0):
+def solved(true_s, radiance, seed=0):
+    """The frame model of one bracket of `LABELS_S`."""
     rng = np.random.default_rng(seed)
-    ratios = []
+    comparisons = []
     before = None
-    for label_s, t in zip(LABELS_S, true_s, strict=True):
+    for number, (label_s, t) in enumerate(zip(LABELS_S, true_s, strict=True)):
         frame = signal(np.minimum(radiance * t, 40_000), rng)
         good = frame + SENSOR.black_dn < SENSOR.saturation_dn
         if before is not None:
-            chosen = good & before[1] & comparable(before[0], frame, label_s / before[2], SENSOR)
-            ratios.append(
-                measured_ratio(before[2], label_s, before[0][chosen].astype(float), frame[chosen].astype(float))
-            )
-        before = frame, good, label_s
-    return solve_exposures(LABELS_S, [ratio for ratio in ratios if ratio])
+            ratio = label_s / LABELS_S[number - 1]
+            chosen = good & before[1] & comparable(before[0], frame, ratio, SENSOR, SENSOR.span_dn())
+            pair = before[0][chosen].astype(float), frame[chosen].astype(float)
+            for means in compared(*pair, signal_weight(ratio, SENSOR), 1.0):
+                comparisons.append(Comparison(number - 1, number, 0, False, False, *means))
+        before = frame, good
+    frames = [Exposed("sample", label_s, label_s, 0.03) for label_s in LABELS_S]
+    return solve_frames(frames, comparisons, 1, SENSOR.read_var_dn() ** 0.5, SENSOR.span_dn())
 
 
 def test_wrong_exposure_labels_are_found_from_the_overlap_of_the_bracket():
     radiance = 0.9 * 15_600 / LABELS_S[0] * np.broadcast_to(np.logspace(0, -6, 600), (400, 600))
     errors = np.random.default_rng(4).uniform(-0.02, 0.02, 13)
     errors[0] = 0.05
-    true_s = np.array(LABELS_S) * (1 + errors)
-    found = solved_exposures(true_s, radiance)
-    seconds = np.array([found.seconds[label] for label in LABELS_S])
-    over_five_decades = (seconds / true_s) / (seconds / true_s)[-1] - 1
-    assert np.abs(over_five_decades).max() < 1e-3
-    rel_sd = np.array(list(found.rel_sd.values()))
-    common = (seconds / true_s) / np.exp(np.mean(np.log(seconds / true_s))) - 1
-    assert np.sqrt(np.mean((common / rel_sd) ** 2)) < 1.6
+    found = solved(np.array(LABELS_S) * (1 + errors), radiance)
+    left = found.log_scale - np.log(1 + errors)
+    assert np.abs(left - left[-1]).max() < 1.5e-3
+    shape = np.eye(13) - 1 / 13
+    sd = np.sqrt(np.diag(shape @ found.covariance @ shape))
+    assert np.sqrt(np.mean((shape @ left / sd) ** 2)) < 1.6
 
 
 def test_the_estimate_has_no_bias_where_most_pixels_are_dark():
     radiance = 150.0 / LABELS_S[6] * np.random.default_rng(0).exponential(1, (300, 400))
-    found = [solved_exposures(LABELS_S, radiance, seed).seconds for seed in range(5)]
-    ratio = np.mean([each[LABELS_S[9]] / each[LABELS_S[6]] for each in found]) / 8
-    assert ratio == pytest.approx(1, abs=6e-4)
+    scales = np.mean([solved(LABELS_S, radiance, seed).log_scale for seed in range(5)], axis=0)
+    assert scales[9] - scales[6] == pytest.approx(0, abs=8e-4)
 
 
 def test_without_overlap_the_labels_stay():
-    found = solve_exposures([0.1, 0.2], [])
-    assert found.seconds == {0.1: pytest.approx(0.1), 0.2: pytest.approx(0.2)}
-    assert found.rel_sd[0.1] > 0.03
+    found = solve_frames([Exposed("sample", t, t, 0.03) for t in (0.1, 0.2)], [], 1, 1.0, 1000.0)
+    assert found.log_scale.tolist() == [0, 0]
+    assert np.sqrt(np.diag(found.covariance)).tolist() == pytest.approx([0.03, 0.03])
 
 
 def test_photon_transfer_finds_gain_and_read_noise():
