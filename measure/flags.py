@@ -5,10 +5,10 @@ from __future__ import annotations
 MEANING = {
     "black_clipped": "The camera cuts off at black: noise below it is lost, and faint light comes out too bright.",
     "black_offset": "Black in the frames is not that of their darks: what was found was taken off.",
-    "drift": "Light changed between frames, of one exposure or beyond what their labels explain: lamp or camera drifted.",
+    "drift": "Light changed between frames by more than noise and labels explain: lamp or camera drifted.",
     "duplicate_frame": "Some frames are copies of others: they were merged once.",
     "exposure_labels_off": "Exposure times found from the bracket differ from their labels: those found were used.",
-    "exposure_ratios_disagree": "The frames contradict each other beyond their noise: all errors were enlarged by what was found.",
+    "exposure_ratios_disagree": "The frames contradict each other beyond noise: errors were enlarged by what was found.",
     "gain_unknown": "The camera's gain could not be found from the frames: errors of single pixels are rough.",
     "glare": "An even floor lies under the sample's light, as veiling glare makes it: --glare subtracts it.",
     "leak": "Pixels beside saturated ones come out too bright: what was found was taken off.",

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bssrdf.calib.exposures import Exposures
+from bssrdf.calib.frame_model import Exposures
 from bssrdf.errors import InputError
 from bssrdf.measure.curve import Timing
 from bssrdf.measure.merge import Hdr

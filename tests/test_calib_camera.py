@@ -43,8 +43,8 @@ def solved(true_s, radiance, seed=0):
             ratio = label_s / LABELS_S[number - 1]
             chosen = good & before[1] & comparable(before[0], frame, ratio, SENSOR, SENSOR.span_dn())
             pair = before[0][chosen].astype(float), frame[chosen].astype(float)
-            for means in compared(*pair, signal_weight(ratio, SENSOR), 1.0):
-                comparisons.append(Comparison(number - 1, number, 0, False, False, *means))
+            told = compared(*pair, signal_weight(ratio, SENSOR), 1.0)
+            comparisons += [Comparison(number - 1, number, 0, False, False, *means) for means in told]
         before = frame, good
     frames = [Exposed("sample", label_s, label_s, 0.03) for label_s in LABELS_S]
     return solve_frames(frames, comparisons, 1, SENSOR.read_var_dn() ** 0.5, SENSOR.span_dn())
