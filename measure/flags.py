@@ -8,7 +8,7 @@ MEANING = {
     "drift": "Light changed between frames by more than noise and labels explain: lamp or camera drifted.",
     "duplicate_frame": "Some frames are copies of others: they were merged once.",
     "exposure_labels_off": "Exposure times found from the bracket differ from their labels: those found were used.",
-    "exposure_ratios_disagree": "The frames contradict each other beyond noise: errors were enlarged by what was found.",
+    "exposure_ratios_disagree": "Frames contradict each other beyond noise: errors were enlarged by it.",
     "gain_unknown": "The camera's gain could not be found from the frames: errors of single pixels are rough.",
     "glare": "An even floor lies under the sample's light, as veiling glare makes it: --glare subtracts it.",
     "leak": "Pixels beside saturated ones come out too bright: what was found was taken off.",
