@@ -65,7 +65,7 @@ def keep_compiled() -> None:
 
 def warn(message: str) -> None:
     """One line on stderr."""
-    click.echo(f"bssrdf: {message}", err=True)
+    click.echo(f"bssrdf: {' '.join(message.splitlines())}", err=True)
 
 
 def run(group: click.Group, arguments: list[str]) -> int:

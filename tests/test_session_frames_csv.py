@@ -1,4 +1,4 @@
-"""frames.csv as a table and as a journal, and what file names say."""
+"""frames.csv as a table and as a journal."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from bssrdf.errors import InputError
-from bssrdf.session.file_names import exposure_from_name
 from bssrdf.session.frames_csv import KINDS, append_frame, dark_for, read_frames, recover_frames, write_frames
 from bssrdf.session.records import Card, Frame
 
@@ -145,24 +144,3 @@ def test_dark_is_of_the_frames_own_kind_and_exposure() -> None:
     frames = [sample, reference, *own, shared, *others]
     assert dark_for(sample, frames) == own
     assert dark_for(reference, frames) == [shared]
-
-
-@pytest.mark.parametrize(
-    ("name", "exposure_s"),
-    [
-        ("d1_disks32cmV2_450nm_25ms_2019-02-08-174802-0004.tif", 0.025),
-        ("sample_0.25s_001.dng", 0.25),
-        ("sample_0.25s.dng", 0.25),
-        ("sample-3916ms.tif", 3.916),
-        ("4s.tif", 4.0),
-        ("1.5ms", 0.0015),
-        ("IMG_0001.CR2", None),
-        ("sample_10ms_20ms.tif", None),
-        ("sample_0ms.tif", None),
-        ("sample_5samples.tif", None),
-        ("lens50s.tif", None),
-        ("v2.5ms.tif", None),
-    ],
-)
-def test_exposure_in_a_file_name(name: str, exposure_s: float | None) -> None:
-    assert exposure_from_name(name) == exposure_s
