@@ -38,11 +38,12 @@ class GeometryCalibration:
 def calibrate_geometry(paths: Sequence[Path], target: Target, layout: str | None = None) -> GeometryCalibration:
     """Lens distortion from all images of the target, and where the pixels of the first lie on its plane.
 
-    `layout` where the files do not tell their own. InputError where an image cannot be read or shows no target.
+    `layout` where the files do not tell their own. Places, not light, are read from them, so that PNG and JPEG serve.
+    InputError where an image cannot be read or shows no target.
     """
     points, size = [], (1, 1)
     for path in paths:
-        frame = read_frame_file(path)
+        frame = read_frame_file(path, encoded=True)
         points.append(find_target(path, grey(frame.data, layout or frame.layout or "mono"), target))
         size = (frame.data.shape[1], frame.data.shape[0])
     return fit_geometry(points, size)

@@ -1,5 +1,7 @@
 """A rendered target must give back the camera that rendered it."""
 
+from pathlib import Path
+
 import cv2
 import numpy as np
 import pytest
@@ -8,7 +10,7 @@ from scipy.interpolate import RectBivariateSpline
 
 from bssrdf.calib.geometry import calibrate_geometry
 from bssrdf.calib.surface import Surface, undistort
-from bssrdf.calib.target import Target
+from bssrdf.calib.target import Target, find_target
 from bssrdf.errors import InputError
 from bssrdf.session.records import Distortion, Geometry
 
@@ -96,3 +98,83 @@ def test_a_dot_grid_serves_as_well(tmp_path):
     found = calibrate_geometry([tmp_path / "dots.tif"], Target(11, 9, 2.0, "dots"), "mono")
     u, v = Surface(found.geometry, found.distortion).to_mm(np.array([60.4, 440.4]), np.array([50.2, 290.2]))
     assert np.hypot(u[1] - u[0], v[1] - v[0]) == pytest.approx(np.hypot(20, 16), rel=1e-3)
+
+
+def turned(plate, px_per_mm, tilt_deg=45.0):
+    """A drawn plate seen from 260 mm under a tilt, and the true scale [mm/px] across the view in the middle."""
+    width, height, focal, distance = 800, 560, 1200.0, 260.0
+    tilt = np.radians(tilt_deg)
+    rotation = np.array([[1, 0, 0], [0, np.cos(tilt), -np.sin(tilt)], [0, np.sin(tilt), np.cos(tilt)]])
+    camera = np.array([[focal, 0, (width - 1) / 2], [0, focal, (height - 1) / 2], [0, 0, 1]])
+    size_mm = np.array(plate.shape[::-1]) / px_per_mm
+    to_mm = np.array([[1 / px_per_mm, 0, -size_mm[0] / 2], [0, 1 / px_per_mm, -size_mm[1] / 2], [0, 0, 1]])
+    seen = camera @ np.c_[rotation[:, :2], [0, 0, distance]] @ to_mm
+    large = cv2.warpPerspective(
+        plate, np.diag([4, 4, 1.0]) @ seen, (4 * width, 4 * height), flags=cv2.INTER_AREA, borderValue=200
+    )
+    noise = np.random.default_rng(0).normal(0, 1.0, (height, width))
+    return np.clip(cv2.resize(large, (width, height), interpolation=cv2.INTER_AREA) + noise, 0, 255), distance / focal
+
+
+def board(columns, rows, *, legacy=False, markers=True):
+    if not markers:
+        return (np.indices((rows * 150, columns * 150)) // 150).sum(0).astype(np.uint8) % 2 * 255
+    drawn = Target(columns, rows, 15.0).board(legacy=legacy)
+    return drawn.generateImage((columns * 150, rows * 150))
+
+
+def dots(columns, rows, *, light=False, offset=False):
+    step = (100, 50) if offset else (100, 100)
+    plate = np.full(((rows + 1) * step[1], (columns + 1) * step[0]), 0 if light else 255, np.uint8)
+    for row in range(rows):
+        for column in range(columns):
+            centre = (int((column + 1 + (row % 2 / 2 if offset else 0)) * step[0]), (row + 1) * step[1])
+            cv2.circle(plate, centre, 17 if offset else 25, 255 if light else 0, -1, cv2.LINE_AA)
+    return plate
+
+
+PLATES = {
+    "odd": (board(9, 7), Target(9, 7, 15.0)),
+    "even": (board(8, 6), Target(8, 6, 15.0)),
+    "even, before OpenCV 4.6": (board(8, 6, legacy=True), Target(8, 6, 15.0)),
+    "columns and rows exchanged": (board(9, 7), Target(7, 9, 15.0)),
+    "negative": (255 - board(8, 6, legacy=True), Target(8, 6, 15.0)),
+    "chessboard": (board(9, 7, markers=False), Target(9, 7, 15.0)),
+    "dots": (dots(11, 9), Target(11, 9, 10.0, "dots")),
+    "white dots on black": (dots(11, 9, light=True), Target(11, 9, 10.0, "dots")),
+    "offset dots": (dots(7, 15, offset=True), Target(7, 15, 10.0, "dots")),
+    "white offset dots, exchanged": (dots(7, 15, light=True, offset=True), Target(15, 7, 10.0, "dots")),
+}
+
+
+@pytest.mark.parametrize("name", PLATES)
+def test_every_common_plate_gives_the_scale(tmp_path, name):
+    plate, target = PLATES[name]
+    image, mm_per_px = turned(plate, 10)
+    tifffile.imwrite(tmp_path / "plate.tif", (600 + 50 * image).astype(np.uint16))
+    found = calibrate_geometry([tmp_path / "plate.tif"], target, "mono")
+    x, y = Surface(found.geometry, found.distortion).to_mm(np.array([399.0, 400.0]), np.array([279.5, 279.5]))
+    assert np.hypot(np.diff(x), np.diff(y)) == pytest.approx(mm_per_px, rel=1e-3)
+    assert found.geometry.view_angle_deg == pytest.approx(45, abs=0.3)
+    assert found.residual_px < 0.1
+
+
+@pytest.mark.parametrize("suffix", [".png", ".jpg"])
+def test_a_plate_may_be_a_picture_that_is_not_linear(tmp_path, suffix):
+    image, mm_per_px = turned(board(9, 7), 10)
+    cv2.imwrite(str(tmp_path / f"plate{suffix}"), 255 * (image / 255) ** (1 / 2.2))
+    found = calibrate_geometry([tmp_path / f"plate{suffix}"], Target(9, 7, 15.0), "mono")
+    x, _ = Surface(found.geometry, found.distortion).to_mm(np.array([399.0, 400.0]), np.array([279.5, 279.5]))
+    assert abs(np.diff(x)) == pytest.approx(mm_per_px, rel=1e-3)
+
+
+def test_dots_of_a_large_frame_are_found():
+    target = Target(11, 9, 10.0, "dots")
+    plate = cv2.resize(dots(11, 9), None, fx=2.5, fy=2.5, interpolation=cv2.INTER_AREA)
+    px, mm = find_target(Path("plate.tif"), plate, target)
+    assert np.ptp(px, axis=0) / np.ptp(mm, axis=0) == pytest.approx(25, rel=1e-3)
+
+
+def test_dots_that_lie_otherwise_than_described_are_not_taken(tmp_path):
+    with pytest.raises(InputError, match=r"0 points of the 12 x 9 dots target"):
+        find_target(Path("plate.tif"), dots(11, 9), Target(12, 9, 10.0, "dots"))
