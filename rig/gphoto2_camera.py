@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import importlib.util
 import json
+import math
 import re
 import select
 import subprocess
@@ -19,6 +20,8 @@ from bssrdf.rig.ports import Clock, Identity
 
 CONNECT_S = 20.0
 _TICK_S = 0.1
+_EXPOSURE = re.compile(r"(?P<number>\d+(?:\.\d+)?(?:e-?\d+)?)(?:/(?P<over>[1-9]\d*(?:\.\d+)?))?(?P<unit>[sm]?)")
+_QUOTED = re.compile(r'(\d+)"(\d)?')
 
 
 class Gphoto2Camera:
@@ -124,9 +127,12 @@ class Gphoto2Camera:
 
 
 def exposure_seconds(text: str) -> float | None:
-    """Seconds in a camera's own words: "0.0010s", "1/250", "4", "0.5"; None for bulb and the like."""
-    match = re.fullmatch(r"(\d+(?:\.\d+)?)(?:/(\d+(?:\.\d+)?))?s?", text.strip())
-    if match is None:
-        return None
-    seconds = float(match[1]) / float(match[2] or 1)
-    return seconds or None
+    """Seconds in a camera's own words: "0.0010s", "0,0002s", "1/250", "4", "2m", 0"4, 1"; None for bulb and the like."""
+    words = text.strip().replace(",", ".")
+    if quoted := _QUOTED.fullmatch(words):
+        return float(f"{quoted[1]}.{quoted[2] or 0}") or None
+    match = _EXPOSURE.fullmatch(words)
+    if match is None or (match["over"] == match["number"] and len(match["over"]) > 3):
+        return None  # 65535/65535 is bulb, in PTP's own number
+    seconds = float(match["number"]) / float(match["over"] or 1) * (60 if match["unit"] == "m" else 1)
+    return seconds if 0 < seconds < math.inf else None

@@ -1,10 +1,12 @@
 """Thorlabs SC10 shutter controller: 9600 baud, CR, echoes each command, prompt "> " (SC10 manual, chapter 5).
 
-`ens` toggles, so it is only ever sent after `ens?` has told the state.
+`ens` toggles, so it is only ever sent after `ens?` has told the state. Controllers of some firmwares send no echo, put
+the prompt first, or end lines by CR LF; what they do is learnt from their answer to `id?`.
 """
 
 from __future__ import annotations
 
+import re
 import time
 from collections.abc import Callable
 
@@ -13,11 +15,15 @@ from bssrdf.rig.ports import Identity, ShutterState
 from bssrdf.rig.serial_line import BadReply, SerialLine, Wire, open_wire
 
 BAUD = 9600
-_PROMPT = b"> "
+_PROMPT = b">"
 _SINGLE = 3
 """Mode in which `ens` opens for `open=` milliseconds."""
 _LONGEST_MS = 999_999
 _TRIES = 3
+
+
+class _Refused(DeviceError):
+    """The controller does not know the command."""
 
 
 class Sc10Shutter:
@@ -36,10 +42,12 @@ class Sc10Shutter:
         self.name = f"sc10 on {port}"
         self._port, self._timeout_s, self._blade_s, self._open_port = port, timeout_s, blade_s, open_port
         self._line: SerialLine | None = None
+        self._echoes = self._prompts_first = False
 
     def connect(self) -> Identity:
         self._line = SerialLine(self.name, self._open_port(self._port, BAUD, self._timeout_s))
-        version = self._retried("id?")
+        self._echoes = self._prompts_first = False
+        version = self._introduced()
         self.close()
         self._retried(f"mode={_SINGLE}")
         return Identity("sc10", self._port, version)
@@ -100,19 +108,39 @@ class Sc10Shutter:
                 self._wire().drain(self._timeout_s)
         return self._exchange(command)
 
+    def _introduced(self) -> str:
+        """The controller's name; it may refuse the first command, with what stood in its buffer before it."""
+        try:
+            return self._retried("id?")
+        except _Refused:
+            return self._retried("id?")
+
     def _exchange(self, command: str) -> str:
         """Send one command and return its reply, without echo and prompt."""
         sent = command.encode() + b"\r"
         line = self._wire()
         line.forget()
         line.send(sent)
-        reply = line.receive(_PROMPT, after=sent)
-        if not reply.startswith(sent):
+        reply = self._reply(line, sent)
+        lines = [text for raw in re.split(rb"[\r\n]+", reply) if (text := raw.strip())]
+        if lines[:1] == [command.encode()]:
+            self._echoes, lines = True, lines[1:]
+        elif self._echoes or len(lines) != command.endswith("?"):
             raise BadReply(f"{self.name}: {sent!r} came back as {reply!r}; is it another device, or another baud rate?")
-        text = reply.removeprefix(sent).rstrip(b"\r").decode("ascii", "replace")
+        text = b" ".join(lines).decode("ascii", "replace")
         if "CMD_" in text:
-            raise DeviceError(f"{self.name}: {sent!r} was refused with {text!r}; is its firmware older than 1.0?")
+            raise _Refused(f"{self.name}: {sent!r} was refused with {text!r}; is its firmware older than 1.0?")
         return text
+
+    def _reply(self, line: SerialLine, sent: bytes) -> bytes:
+        """What comes before the prompt, or after it where the prompt comes first."""
+        if not self._prompts_first:
+            reply = line.receive(_PROMPT, after=sent)
+            if reply.strip() or self._echoes or not sent.endswith(b"?\r"):
+                return reply
+            self._prompts_first = True
+        lines = [line.receive(b"\r", after=sent) for _ in range(2 if sent.endswith(b"?\r") else 1)]
+        return b"\r".join(text.strip(_PROMPT + b" \n") for text in lines)
 
     def _wire(self) -> SerialLine:
         if self._line is None:

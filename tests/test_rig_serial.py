@@ -167,6 +167,69 @@ def test_sc10_shows_the_bytes_of_every_wrong_reply(reply: bytes | Exception, mes
         assert not wire.script
 
 
+class HabitualSc10(ScriptedWire):
+    """An SC10 by its state instead of a script, with one habit that owners of some firmwares report."""
+
+    def __init__(self, habit: str) -> None:
+        super().__init__([])
+        self.habit, self.enabled, self.heard = habit, 0, 0
+
+    def write(self, data: bytes) -> int:
+        for command in data.split(b"\r")[:-1]:
+            self.heard += 1
+            self.incoming += self.said(command.decode())
+        return len(data)
+
+    def said(self, command: str) -> bytes:
+        if self.heard == 1 and self.habit in ("loses the first", "refuses the first"):
+            return b"" if self.habit == "loses the first" else b"\x00id?\rCommand error CMD_NOT_DEFINED\r> "
+        self.enabled ^= command == "ens"
+        answers = {"id?": "THORLABS SC10 VERSION 1.07", "ens?": self.enabled, "closed?": 1 - self.enabled}
+        answer = str(answers[command]) + "\r" if command in answers else ""
+        text = {
+            "space before echo": f" {command}\r{answer}> ",
+            "no echo": f"{answer}> ",
+            "bare prompt": f"{command}\r{answer}>",
+            "prompt first": f"> {command}\r{answer}",
+            "line feeds": f"{command}\r{answer}> ".replace("\r", "\r\n"),
+            "prompt first, line feeds": f"> {command}\r{answer}".replace("\r", "\r\n"),
+            "no echo, bare prompt": f"{answer}>",
+        }
+        return text.get(self.habit, f"{command}\r{answer}> ").encode()
+
+
+@pytest.mark.parametrize(
+    "habit",
+    [
+        "none",
+        "loses the first",
+        "refuses the first",
+        "space before echo",
+        "no echo",
+        "bare prompt",
+        "prompt first",
+        "line feeds",
+        "prompt first, line feeds",
+        "no echo, bare prompt",
+    ],
+)
+def test_sc10_of_every_firmware_opens_and_closes(habit: str) -> None:
+    wire = HabitualSc10(habit)
+    shutter = Sc10Shutter("/dev/ttyUSB0", timeout_s=0.01, open_port=lambda port, baud, timeout_s: wire)
+    shutter.connect()
+    shutter.open_for(1.0)
+    assert (shutter.state(), wire.enabled) == ("open", 1)
+    shutter.close()
+    assert (shutter.state(), wire.enabled) == ("closed", 0)
+
+
+def test_sc10_that_has_echoed_is_not_believed_without_its_echo() -> None:
+    wire, shutter = sc10([(b"closed?\r", b"1\r> ")] * 3)
+    with pytest.raises(DeviceError, match=r"came back as b'1\\r'"):
+        shutter.state()
+    assert not wire.script
+
+
 @pytest.mark.parametrize("error", [b"CMD_NOT_DEFINED", b"CMD_ARG_INVALID"])
 def test_sc10_passes_on_a_refusal_without_repeating(error: bytes) -> None:
     wire, shutter = sc10([echo(b"open=1000", b"Command error " + error)])
