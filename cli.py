@@ -71,7 +71,7 @@ def rig_list() -> None:
     """Serial ports and cameras that are connected."""
     from bssrdf.rig import commands
 
-    click.echo("\n".join(commands.rig_list()) or "no serial port and no camera is connected")
+    click.echo("\n".join(commands.rig_list()))
 
 
 @rig.command("status")

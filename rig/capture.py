@@ -74,7 +74,7 @@ def capture(
         session.mkdir(parents=True, exist_ok=True)
         held.enter_context(lock_session(session))
         signals = held.enter_context(interrupts())
-        devices = devices_of(rig)
+        devices = devices_of(rig, signals)
         held.enter_context(safe(devices, signals))
         run = _Run(plan, rig, devices, session, signals, report or (lambda event: None))
         return run.resume() if resume else run.start(plan_file)
@@ -99,7 +99,7 @@ def safe(devices: Devices, signals: Interrupts) -> Iterator[None]:
 def make_safe(devices: Devices) -> str:
     """Close the shutter, switch the beam off, release; what did not work, or nothing."""
     problem = ""
-    for _ in range(_TRIES):
+    for _ in range(1 if devices.by_hand else _TRIES):
         try:
             devices.shutter.close()
             problem = ""
@@ -112,7 +112,7 @@ def make_safe(devices: Devices) -> str:
     try:
         devices.beam.off()
     except DeviceError as error:
-        problem = problem and f"{problem}, nor did the beam go off ({error})"
+        problem = f"{problem or 'the shutter is closed'}, but the beam did not go off ({error})"
     devices.release()
     return problem
 
@@ -217,6 +217,8 @@ class _Run:
                 return seen
             file.unlink()
             self._report(event._replace(what="rejected", message=wrong))
+            if self._devices.by_hand:
+                self._devices.shutter.release()  # the person may have moved it wrongly: ask again
         raise DeviceError(
             f"{self._devices.camera.name} with {self._devices.shutter.name}: frame {step.name} was wrong "
             f"{_TRIES} times, at last because {wrong}; put it right and go on with --resume"
@@ -231,7 +233,7 @@ class _Run:
         """Take a frame with the shutter as the step wants it; it is closed when this returns."""
         shutter, camera, clock = self._devices.shutter, self._devices.camera, self._devices.clock
         if not step.lit:
-            self._expect_shutter("closed")
+            self._shut()
             return camera.take(step.exposure_s, part, self._keep_alive)
         shutter.open_for(self._longest_open_s(step))
         clock.sleep(self._plan.settle_s)
@@ -241,13 +243,20 @@ class _Run:
         except DeviceError:
             file.unlink()
             raise
-        shutter.close()
+        if not self._devices.by_hand:
+            shutter.close()
         return file
+
+    def _shut(self) -> None:
+        """Have the shutter closed: a card that a person moves may still be out from the frames before."""
+        if self._devices.by_hand:
+            self._devices.shutter.close()
+        self._expect_shutter("closed")
 
     def _longest_open_s(self, step: Step) -> float:
         """The frame's own time and all that the camera may take around it, on the bench's clock."""
-        overhead_s = float(self._rig.camera.keys.get("overhead_s", 10.0))
-        return step.exposure_s + self._plan.settle_s + (overhead_s + 2) * self._devices.clock.speed
+        overhead_s = self._devices.camera.overhead_s + 2
+        return step.exposure_s + self._plan.settle_s + overhead_s * self._devices.clock.speed
 
     def _expect_shutter(self, wanted: str) -> None:
         state = self._devices.shutter.state()
@@ -256,7 +265,7 @@ class _Run:
 
     def _keep_alive(self) -> None:
         """Talk to the controller now and then, so that its watchdog sees that we live."""
-        if time.monotonic() - self._watched > _WATCH_S:
+        if self._devices.kept_alive and time.monotonic() - self._watched > _WATCH_S:
             self._devices.shutter.state()
             self._watched = time.monotonic()
 
@@ -294,6 +303,6 @@ class _Run:
 
     def _lay(self, subject: Subject) -> None:
         if self._laid != subject:
-            self._expect_shutter("closed")
+            self._shut()
             self._devices.operator.lay(subject)
             self._laid = subject

@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
 from bssrdf.errors import BssrdfError, DeviceError, UsageError
 from bssrdf.rig.capture import Captured, Report, capture
 from bssrdf.rig.devices import devices_of, ports_of
+from bssrdf.rig.drivers import PARTS, names
 from bssrdf.rig.locks import lock_ports
 from bssrdf.rig.plan_toml import Plan, read_plan
 from bssrdf.rig.rig_toml import Rig, read_rig
-from bssrdf.rig.steps import snapped, steps_of
+from bssrdf.rig.steps import Step, snapped, steps_of
 
 _DEFAULT_RIG = Path("rig.toml")
 _OVERHEAD_S = 0.5
@@ -30,22 +31,28 @@ def run_capture(
     report: Report | None = None,
 ) -> Captured:
     """Capture a session; `rig` is rig.toml in the working folder if not given, or the simulated bench."""
-    with _bench(plan, session, rig, simulate) as rig_file:
+    truth = session.with_name(f"{session.name}.truth.json")
+    with _bench(plan, rig, simulate, truth) as rig_file:
         return capture(plan, rig_file, session, resume=resume, report=report)
 
 
 def dry_run(plan: Path, session: Path, *, rig: Path | None = None, simulate: bool = False) -> str:
-    """What a capture would do, as text: each frame, its exposure as the camera has it, duration, bytes, disk free."""
-    with _bench(plan, session, rig, simulate) as rig_file:
+    """What a capture would do, as text: each frame, its exposure as the camera has it, duration, bytes, disk free.
+
+    Nothing is written, and neither shutter nor beam is touched.
+    """
+    with _bench(plan, rig, simulate) as rig_file:
         return _outlook(read_plan(plan), read_rig(rig_file), session)
 
 
 def rig_list() -> list[str]:
-    """Serial ports and cameras that are connected, one a line."""
+    """Serial ports and cameras that are connected, and the drivers that are installed, one a line."""
     from serial.tools import list_ports
 
     lines = [f"{port.device}: {port.description}" for port in sorted(list_ports.comports())]
-    return lines + cameras()
+    lines += cameras()
+    lines = lines or ["no serial port and no camera is connected"]
+    return [*lines, *(f"drivers for [{part}]: {', '.join(names(part))}" for part in PARTS)]
 
 
 def cameras() -> list[str]:
@@ -96,8 +103,11 @@ def rig_close(rig: Path | None = None) -> list[str]:
 
 
 @contextmanager
-def _bench(plan: Path, session: Path, rig: Path | None, simulate: bool) -> Iterator[Path]:
-    """The rig.toml to use; with `simulate` that of a bench which stands as long as the block lasts."""
+def _bench(plan: Path, rig: Path | None, simulate: bool, truth: Path | None = None) -> Iterator[Path]:
+    """The rig.toml to use; with `simulate` that of a bench which stands as long as the block lasts.
+
+    What is true on it is written to `truth`.
+    """
     if not simulate:
         yield rig or _DEFAULT_RIG
         return
@@ -109,31 +119,46 @@ def _bench(plan: Path, session: Path, rig: Path | None, simulate: bool) -> Itera
 
     scene = Scene(published_sample(read_plan(plan).material.name), white_tile())
     with simulated_bench(scene) as bench:
-        session.parent.mkdir(parents=True, exist_ok=True)
-        shutil.copyfile(bench.scene_file, session.with_name(f"{session.name}.truth.json"))
+        if truth is not None:
+            truth.parent.mkdir(parents=True, exist_ok=True)
+            shutil.copyfile(bench.scene_file, truth)
         yield bench.rig_file
 
 
 def _outlook(plan: Plan, rig: Rig, session: Path) -> str:
-    camera = devices_of(rig).camera
+    devices = devices_of(rig)
     with lock_ports(ports_of(rig)):
         try:
-            camera.connect()
-            offered = camera.exposures_s()
+            devices.camera.connect()
+            offered = devices.camera.exposures_s()
         finally:
-            camera.release()
-    after_kill = devices_of(rig).shutter.after_kill
+            devices.camera.release()
     folder = next(parent for parent in (session, *session.absolute().parents) if parent.exists())
     free_gb = shutil.disk_usage(folder).free / 1e9
-    tail = [f"disk free: {free_gb:.1f} GB", f"if this program is killed: {_after_kill(after_kill)}"]
+    tail = [f"disk free: {free_gb:.1f} GB", f"if this program is killed: {_after_kill(devices.shutter.after_kill)}"]
     if not plan.list_s:
         return "\n".join(["exposures: chosen by metering shots when the capture begins", *tail])
-    times = snapped(plan.list_s, offered)
-    steps = steps_of(plan, dict.fromkeys(plan.kinds, times))
+    steps = steps_of(plan, dict.fromkeys(plan.kinds, snapped(plan.list_s, offered)))
     duration_s = sum(step.exposure_s + plan.settle_s + _OVERHEAD_S for step in steps)
-    size_gb = len(steps) * float(rig.camera.keys.get("frame_mb", 30.0)) / 1e3
     lines = [f"{step.name}: {step.kind} {step.exposure_s:g} s" for step in steps]
-    return "\n".join([*lines, f"{len(steps)} frames, about {duration_s / 60:.1f} min, about {size_gb:.2f} GB", *tail])
+    lines.append(
+        f"{len(steps)} frames, about {duration_s / 60:.1f} min, about {len(steps) * rig.frame_mb / 1e3:.2f} GB"
+    )
+    if devices.by_hand:
+        order = "" if plan.order == "blocks" else '; fewer with order = "blocks"'
+        lines.append(f"the card is moved {_moves(steps)} times by hand{order}")
+    return "\n".join([*lines, *tail])
+
+
+def _moves(steps: Sequence[Step]) -> int:
+    """How often a card is put or taken: before each subject and at the end it is in the beam."""
+    moves, lit, subject = 0, False, None
+    for step in steps:
+        moves += lit and step.subject != subject
+        lit = lit and step.subject == subject
+        moves += lit != step.lit
+        lit, subject = step.lit, step.subject
+    return moves + lit
 
 
 def _after_kill(words: str) -> str:

@@ -22,7 +22,7 @@ class FolderCamera:
     ) -> None:
         self.name = f"folder camera on {port}"
         self._folder, self._exposures_s = Path(port), exposures_s
-        self._clock, self._overhead_s = clock, overhead_s
+        self._clock, self.overhead_s = clock, overhead_s
 
     def connect(self) -> Identity:
         if not self._folder.is_dir():
@@ -37,7 +37,7 @@ class FolderCamera:
 
     def take(self, exposure_s: float, part: Path, keep_alive: Callable[[], None]) -> Path:
         there = set(self._frames())
-        deadline = time.monotonic() + exposure_s / self._clock.speed + self._overhead_s
+        deadline = time.monotonic() + exposure_s / self._clock.speed + self.overhead_s
         sizes: dict[Path, int] = {}
         while time.monotonic() < deadline:
             keep_alive()
@@ -50,7 +50,7 @@ class FolderCamera:
                 sizes[file] = size
             time.sleep(_TICK_S)
         raise DeviceError(
-            f"{self.name}: no new frame within {exposure_s / self._clock.speed + self._overhead_s:.3g} s; "
+            f"{self.name}: no new frame within {exposure_s / self._clock.speed + self.overhead_s:.3g} s; "
             "is the camera's program running?"
         )
 

@@ -37,7 +37,7 @@ class Gphoto2Camera:
         overhead_s: float = 10.0,
     ) -> None:
         self.name = f"gphoto2 camera on {port or 'any port'}"
-        self._clock, self._overhead_s = clock, overhead_s
+        self._clock, self.overhead_s = clock, overhead_s
         self._port, self._model, self._iso = port, model, iso
         self._child: subprocess.Popen[bytes] | None = None
         self._choices: dict[float, str] = {}
@@ -69,7 +69,7 @@ class Gphoto2Camera:
     def take(self, exposure_s: float, part: Path, keep_alive: Callable[[], None]) -> Path:
         if self._child is None:
             self.connect()
-        limit_s = exposure_s / self._clock.speed + self._overhead_s
+        limit_s = exposure_s / self._clock.speed + self.overhead_s
         exposure = self._choices[exposure_s]
         told = self._request("take", limit_s + 1, keep_alive, exposure=exposure, part=str(part), within_s=limit_s)
         return Path(told["path"])
@@ -127,7 +127,7 @@ class Gphoto2Camera:
 
 
 def exposure_seconds(text: str) -> float | None:
-    """Seconds in a camera's own words: "0.0010s", "0,0002s", "1/250", "4", "2m", 0"4, 1"; None for bulb and the like."""
+    """Seconds in a camera's own words: "0.0010s", "0,0002s", "1/250", "2m", 0"4, 1"; None for bulb and the like."""
     words = text.strip().replace(",", ".")
     if quoted := _QUOTED.fullmatch(words):
         return float(f"{quoted[1]}.{quoted[2] or 0}") or None

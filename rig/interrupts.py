@@ -15,12 +15,22 @@ class Interrupts:
     def __init__(self) -> None:
         self.finish_frame = False
         self.making_safe = False
+        self._at_prompt = False
 
     def handle(self, number: int, frame: FrameType | None) -> None:
-        stop_now = number == signal.SIGTERM or self.finish_frame
+        stop_now = number == signal.SIGTERM or self.finish_frame or self._at_prompt
         self.finish_frame = True
         if stop_now and not self.making_safe:
             raise KeyboardInterrupt
+
+    @contextmanager
+    def at_prompt(self) -> Iterator[None]:
+        """While a person is asked no frame is on its way: the first Ctrl-C stops at once."""
+        self._at_prompt = True
+        try:
+            yield
+        finally:
+            self._at_prompt = False
 
 
 @contextmanager

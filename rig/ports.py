@@ -37,7 +37,9 @@ class Shutter(Protocol):
         """What closes the shutter when this program is killed, in plain words; empty where nothing does."""
         ...
 
-    def connect(self) -> Identity: ...
+    def connect(self) -> Identity:
+        """Find the controller, and close."""
+        ...
 
     def open_for(self, longest_s: float) -> None:
         """Open, and have the controller close by itself after `longest_s` where it can."""
@@ -74,6 +76,11 @@ class Camera(Protocol):
 
     @property
     def name(self) -> str: ...
+
+    @property
+    def overhead_s(self) -> float:
+        """What it may take beyond an exposure before it counts as hung."""
+        ...
 
     def connect(self) -> Identity: ...
 

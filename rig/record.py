@@ -101,6 +101,8 @@ def frames_there(session: Path) -> list[Frame]:
             raise InputError(f"{file}: is missing or changed since its capture; put it back, or start anew")
     journalled = {frame.file for frame in frames}
     for file in (session / "frames").glob("*"):
-        if f"frames/{file.name}" not in journalled:
+        if file.is_dir():
+            shutil.rmtree(file)
+        elif f"frames/{file.name}" not in journalled:
             file.unlink()
     return frames

@@ -7,13 +7,13 @@ from pathlib import Path
 from typing import Any
 
 from bssrdf.errors import InputError
+from bssrdf.rig.drivers import PARTS, PartName, find, names
 from bssrdf.session.checks import (
     Check,
     check_format,
     checked,
     choice,
     known_keys,
-    list_of,
     number,
     parse_toml,
     read_text,
@@ -23,29 +23,8 @@ from bssrdf.session.records import FORMAT, Beam, Camera, Geometry, Reference
 from bssrdf.session.session_toml import TABLES
 
 _SECONDS = number(above=0, at_most=3600)
-
-DRIVERS: dict[str, dict[str, dict[str, Check]]] = {
-    "shutter": {
-        "sc10": {"port": text, "timeout_s": _SECONDS, "blade_s": _SECONDS},
-        "uniblitz": {"port": text, "timeout_s": _SECONDS},
-        "scpi": {"port": text, "timeout_s": _SECONDS, "boot_s": _SECONDS, "watchdog_s": _SECONDS},
-    },
-    "beam": {
-        "manual": {},
-        "scpi": {"port": text, "timeout_s": _SECONDS, "boot_s": _SECONDS, "watchdog_s": _SECONDS, "level": number()},
-    },
-    "camera": {
-        "gphoto2": {"port": text, "model": text, "iso": text, "overhead_s": _SECONDS, "frame_mb": number(above=0)},
-        "folder": {
-            "port": text,
-            "exposures_s": list_of(_SECONDS),
-            "overhead_s": _SECONDS,
-            "frame_mb": number(above=0),
-        },
-    },
-}
-"""Keys of each driver. The port of a `folder` camera is the folder."""
-_REQUIRED = {"sc10": ["port"], "uniblitz": ["port"], "scpi": ["port"], "folder": ["port"]}
+_OF_EVERY: dict[PartName, dict[str, Check]] = {"shutter": {}, "beam": {}, "camera": {"frame_mb": number(above=0)}}
+"""Keys that go with any driver."""
 
 
 @dataclass(frozen=True)
@@ -54,12 +33,14 @@ class Part:
 
     driver: str
     keys: dict[str, Any]
+    """The driver's own."""
 
 
 @dataclass(frozen=True)
 class Rig:
     """A bench."""
 
+    file: Path
     shutter: Part
     beam: Part
     camera: Part
@@ -67,6 +48,8 @@ class Rig:
     """`camera`, `geometry`, `beam`, `reference`: records that go into every session.toml."""
     world: str | None = None
     """Socket of the simulated world; None on a real bench."""
+    frame_mb: float = 30.0
+    """What a frame takes on the disk."""
     speed: float = 1.0
     """How much faster than the clock a simulated bench runs."""
 
@@ -75,7 +58,7 @@ def read_rig(file: Path) -> Rig:
     """The bench that the file describes; InputError names file, key and value."""
     document = parse_toml(file, read_text(file))
     check_format(file, document.pop("format", FORMAT))
-    known_keys(file, "", document, [*DRIVERS, "geometry", "reference", "simulated"])
+    known_keys(file, "", document, [*PARTS, "geometry", "reference", "simulated"])
     for name, table in document.items():
         if not isinstance(table, dict):
             raise InputError(f"{file}: {name} must be a table; write [{name}] and its keys below")
@@ -83,24 +66,29 @@ def read_rig(file: Path) -> Rig:
         if name not in document:
             raise InputError(f"{file}: lacks the table [{name}]; add it")
     document.setdefault("beam", {"driver": "manual"})
-    parts = {name: _part(file, name, document[name]) for name in DRIVERS}
+    parts = {name: _part(file, name, document[name]) for name in PARTS}
+    common = {key: parts["camera"].keys.pop(key) for key in _OF_EVERY["camera"] if key in parts["camera"].keys}
     simulated = checked(file, "[simulated] ", document.get("simulated", {}), {"world": text, "speed": _SECONDS})
     records: dict[str, type] = {"camera": Camera, "geometry": Geometry, "beam": Beam, "reference": Reference}
     tables = {name: _record(file, name, record, document[name]) for name, record in records.items()}
-    return Rig(parts["shutter"], parts["beam"], parts["camera"], tables, **simulated)
+    return Rig(file, parts["shutter"], parts["beam"], parts["camera"], tables, **common, **simulated)
 
 
-def _part(file: Path, name: str, table: dict[str, Any]) -> Part:
+def _part(file: Path, name: PartName, table: dict[str, Any]) -> Part:
     """The driver's share of a table that it shares with session.toml's keys."""
-    drivers = DRIVERS[name]
-    driver = checked(file, f"[{name}] ", {"driver": table.get("driver", "")}, {"driver": choice(*drivers)})["driver"]
-    static = TABLES.get(name, (None, {}))[1]
-    known_keys(file, f"[{name}] ", table, ["driver", *drivers[driver], *static])
-    keys = {key: value for key, value in table.items() if key in drivers[driver]}
-    for key in _REQUIRED.get(driver, []):
+    called = {"driver": table.get("driver", "")}
+    driver = checked(file, f"[{name}] ", called, {"driver": choice(*names(name))})["driver"]
+    try:
+        found = find(name, driver)
+    except InputError as error:
+        raise InputError(f"{file}: {error}") from error
+    own = {**found.keys, **_OF_EVERY[name]}
+    known_keys(file, f"[{name}] ", table, ["driver", *own, *TABLES.get(name, (None, {}))[1]])
+    keys = {key: value for key, value in table.items() if key in own}
+    for key in found.required:
         if key not in keys:
             raise InputError(f"{file}: [{name}] lacks {key}; the driver {driver} needs it")
-    return Part(driver, checked(file, f"[{name}] ", keys, drivers[driver]))
+    return Part(driver, checked(file, f"[{name}] ", keys, own))
 
 
 def _record(file: Path, name: str, record: type, table: dict[str, Any]) -> Any:

@@ -76,7 +76,7 @@ def test_a_bench_keeps_drivers_and_session_tables_apart(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ('driver = "sc10"', 'driver = "sc11"', "driver = 'sc11' must be one of sc10, uniblitz, scpi"),
+        ('driver = "sc10"', 'driver = "sc11"', "driver = 'sc11' must be one of command, manual, sc10, scpi, uniblitz"),
         ('port = "/dev/ttyUSB0"', "", "lacks port; the driver sc10 needs it"),
         ('iso = "100"', "isso = 3", "isso is not known; did you mean iso"),
         ("[geometry]\nmm_per_px = 0.05\n", "", r"lacks the table \[geometry\]"),
