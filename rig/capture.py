@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
@@ -17,6 +18,7 @@ from bssrdf.rig.interrupts import Interrupts, interrupts
 from bssrdf.rig.locks import lock_ports, lock_session
 from bssrdf.rig.metering import metered
 from bssrdf.rig.plan_toml import Plan, Subject, read_plan
+from bssrdf.rig.ports import BadShot
 from bssrdf.rig.record import Record, begin, frames_there, resumed, write_record
 from bssrdf.rig.rig_toml import Rig, read_rig
 from bssrdf.rig.steps import Step, snapped, steps_of
@@ -209,8 +211,8 @@ class _Run:
         for _ in range(_TRIES):
             file = self._expose(step, self._session / "frames" / f"{step.name}.part")
             seen, wrong = check(file, step, self._longer(step), self._white)
-            frame = self._line(step, file)
-            wrong = wrong or next((f"it {unlike.fact}" for unlike in differences([*self._kept, frame])), "")
+            frame = self._line(step, file, seen)
+            wrong = next((f"it {unlike.fact}" for unlike in differences([*self._kept, frame])), wrong)
             if seen is not None and not wrong:
                 self._keep(step, file, frame)
                 self._report(event._replace(what="done", peak=seen.peak))
@@ -230,7 +232,17 @@ class _Run:
         return before if before is None or before.exposure_s >= step.exposure_s else self._first[step.subject]
 
     def _expose(self, step: Step, part: Path) -> Path:
-        """Take a frame with the shutter as the step wants it; it is closed when this returns."""
+        """Take a frame, with another shot where one went wrong."""
+        for _ in range(_TRIES - 1):
+            try:
+                return self._shot(step, part)
+            except BadShot:
+                if not self._devices.by_hand:
+                    self._devices.shutter.close()
+        return self._shot(step, part)
+
+    def _shot(self, step: Step, part: Path) -> Path:
+        """One shot with the shutter as the step wants it; closed when this returns, unless a person is the shutter."""
         shutter, camera, clock = self._devices.shutter, self._devices.camera, self._devices.clock
         if not step.lit:
             self._shut()
@@ -269,10 +281,11 @@ class _Run:
             self._devices.shutter.state()
             self._watched = time.monotonic()
 
-    def _line(self, step: Step, file: Path) -> Frame:
+    def _line(self, step: Step, file: Path, seen: Seen | None) -> Frame:
         """The frame's line of frames.csv, with what its file says of itself."""
         name = f"frames/{step.name}{file.suffix}"
-        return Frame(name, step.kind, step.exposure_s, card=card_of_file(file))
+        exposure_s = seen.exposure_s if seen is not None else step.exposure_s
+        return Frame(name, step.kind, exposure_s, card=card_of_file(file))
 
     def _keep(self, step: Step, file: Path, frame: Frame) -> None:
         """Have the frame on disk under its own name, and then in the journal."""
@@ -294,7 +307,7 @@ class _Run:
         if not step.lit:
             return
         first = self._first.setdefault(step.subject, seen)
-        if step.subject in self._before and step.exposure_s == first.exposure_s and seen is not first:
+        if step.subject in self._before and seen is not first and math.isclose(seen.exposure_s, first.exposure_s):
             self._drift[step.subject] = drift(first, seen)
             if abs(self._drift[step.subject]) > DRIFT_FLAGGED:
                 change = f"{step.subject} changed by {100 * self._drift[step.subject]:+.2f} % from begin to end"

@@ -18,6 +18,8 @@ Array = NDArray[np.float64]
 
 LABEL_TOLERANCE = 0.07
 """Exposure labels are rounded by up to 6.7 %."""
+_LABEL_STEP_S = 1e-4
+"""PTP counts exposures in whole units of this: a camera may call 1/8000 s 0.0001 s."""
 _IN_STEP = 0.15
 """Light may differ from the previous frame's, scaled by the exposure, by this: twice a rounded label."""
 _SIGMAS = 8.0
@@ -30,6 +32,7 @@ class Seen(NamedTuple):
     """What is kept of a frame to compare the next ones with."""
 
     exposure_s: float
+    """As the file says; as it was asked for where the file says nothing."""
     light: Array
     """Light above the black level [DN], in cells of the mosaic's period, (h/2, w/2)."""
     clipped: NDArray[np.bool_]
@@ -69,7 +72,7 @@ def look(file: Path, white: float | None = None) -> tuple[RawFrame, Seen]:
 def fault_of(step: Step, frame: RawFrame, seen: Seen, before: Seen | None) -> str:
     """What is wrong with a frame, in a few words; empty where nothing is. `before`: a longer frame of the subject."""
     said = frame.exposure_s
-    if said is not None and abs(said / step.exposure_s - 1) > LABEL_TOLERANCE:
+    if said is not None and not _is_labelled(said, step.exposure_s):
         return f"its file says {said:g} s, not {step.exposure_s:g} s"
     if not step.lit:
         return "it is not dark: the beam gets through" if seen.is_lit else ""
@@ -77,12 +80,16 @@ def fault_of(step: Step, frame: RawFrame, seen: Seen, before: Seen | None) -> st
         return "it is all saturated"
     if before is None:
         return "" if seen.is_lit else "it is all dark: shutter, beam or lens cap"
-    return _out_of_step(step, seen, before)
+    return _out_of_step(seen, before)
 
 
-def _out_of_step(step: Step, seen: Seen, before: Seen) -> str:
+def _is_labelled(said_s: float, label_s: float) -> bool:
+    return abs(said_s / label_s - 1) <= LABEL_TOLERANCE or abs(said_s - label_s) < _LABEL_STEP_S
+
+
+def _out_of_step(seen: Seen, before: Seen) -> str:
     """Compare with a frame of the same subject where neither is saturated."""
-    ratio = step.exposure_s / before.exposure_s if before.exposure_s else 1.0
+    ratio = seen.exposure_s / before.exposure_s
     if seen.light.shape != before.light.shape:
         return f"it has {seen.light.shape} cells, the frame before {before.light.shape}"
     bright = ~seen.clipped & ~before.clipped & (before.light * ratio > _SIGMAS * max(seen.noise, before.noise * ratio))
@@ -113,4 +120,5 @@ def check(file: Path, step: Step, before: Seen | None, white: float | None) -> t
         frame, seen = look(file, white)
     except InputError as error:
         return None, f"it cannot be read ({error})"
-    return seen._replace(exposure_s=step.exposure_s), fault_of(step, frame, seen, before)
+    seen = seen._replace(exposure_s=frame.exposure_s or step.exposure_s)
+    return seen, fault_of(step, frame, seen, before)

@@ -16,10 +16,12 @@ from pathlib import Path
 from typing import Any
 
 from bssrdf.errors import DeviceError
-from bssrdf.rig.ports import Clock, Identity
+from bssrdf.rig.ports import BadShot, Clock, Identity
 
 CONNECT_S = 20.0
 _TICK_S = 0.1
+_LEAST = 0.8
+"""Share of an exposure that has passed before its file can be there; labels of times are rounded by up to 7 %."""
 _EXPOSURE = re.compile(r"(?P<number>\d+(?:\.\d+)?(?:e-?\d+)?)(?:/(?P<over>[1-9]\d*(?:\.\d+)?))?(?P<unit>[sm]?)")
 _QUOTED = re.compile(r'(\d+)"(\d)?')
 
@@ -57,7 +59,7 @@ class Gphoto2Camera:
         )
         told = self._request("connect", CONNECT_S, port=self._port, model=self._model, iso=self._iso)
         self._choices = {seconds: text for text in told["exposures"] if (seconds := exposure_seconds(text))}
-        self._settings = {name: value for name, value in told["settings"].items() if value is not None}
+        self._settings = dict(told["settings"])
         return Identity("gphoto2", self._port or "", told["version"])
 
     def exposures_s(self) -> tuple[float, ...]:
@@ -70,8 +72,15 @@ class Gphoto2Camera:
         if self._child is None:
             self.connect()
         limit_s = exposure_s / self._clock.speed + self.overhead_s
-        exposure = self._choices[exposure_s]
-        told = self._request("take", limit_s + 1, keep_alive, exposure=exposure, part=str(part), within_s=limit_s)
+        told = self._request(
+            "take",
+            limit_s + 1,
+            keep_alive,
+            exposure=self._choices[exposure_s],
+            part=str(part),
+            least_s=_LEAST * exposure_s / self._clock.speed,
+            within_s=limit_s,
+        )
         return Path(told["path"])
 
     def release(self) -> None:
@@ -99,11 +108,11 @@ class Gphoto2Camera:
             self.release()
             raise
         answer = json.loads(line)
+        if answer.get("again"):
+            raise BadShot(f"{self.name}: {answer['error']}")
         if "error" in answer:
             self.release()
-            raise DeviceError(
-                f"{self.name}: {verb} failed: {answer['error']}; check the camera, and switch it off and on"
-            )
+            raise DeviceError(f"{self.name}: {verb} failed: {answer['error']}")
         return dict(answer["ok"])
 
     def _line(self, verb: str, limit_s: float, keep_alive: Callable[[], None] | None) -> bytes:

@@ -12,9 +12,16 @@ import time
 from pathlib import Path
 from typing import Any
 
-_NOISE_REDUCTION = ("longexpnr", "d06b")
-_OFF = ("Off", "0", "off")
+from bssrdf.rig.camera_settings import NAMES, unfit
+from bssrdf.rig.ports import BadShot
+from bssrdf.session.frame_files import RAW_SUFFIXES
+
 _POLL_S = 0.002
+_EVENT_MS = 100
+_QUIET_S = 1.0
+"""A shot is over when its camera says so, or else when nothing has come for this long after its file."""
+_QUEUE_S = 2.0
+"""Longest time in which the events of an earlier shot are awaited."""
 
 
 class Child:
@@ -26,6 +33,8 @@ class Child:
         self._gp: Any = gphoto2
         self._camera: Any = None
         self._exposure: str | None = None
+        self._ours: set[str] = set()
+        """Names, without suffix, of what our shots have brought."""
 
     @property
     def error(self) -> Any:
@@ -44,31 +53,44 @@ class Child:
             ports.load()
             self._camera.set_port_info(ports[ports.lookup_path(port)])
         self._camera.init()
-        for name in _NOISE_REDUCTION:
-            if (value := self._get(name)) is not None and value not in _OFF:
-                raise ValueError(f"long-exposure noise reduction {name} is {value}; switch it off in the camera")
+        settings = {name: value for name in NAMES if (value := self._get(name)) is not None}
+        if problem := unfit(settings, iso_given=bool(iso)):
+            raise ValueError(problem)
         if iso:
             self._set("iso", iso)
+            settings["iso"] = iso
+        self._empty_queue()
         shutter = self._camera.get_single_config("shutterspeed")
         version = " ".join(self._get(name) or "" for name in ("manufacturer", "cameramodel", "deviceversion"))
         return {
             "version": version.strip(),
             "exposures": [str(choice) for choice in shutter.get_choices()],
-            "settings": {name: self._get(name) for name in ("iso", "imageformat", *_NOISE_REDUCTION)},
+            "settings": settings,
         }
 
-    def take(self, exposure: str, part: str, within_s: float) -> dict[str, Any]:
-        """One frame into a file `part` + suffix; raises TimeoutError when the camera does not bring it in time."""
+    def take(self, exposure: str, part: str, least_s: float, within_s: float) -> dict[str, Any]:
+        """One frame into a file `part` + suffix; raises TimeoutError when the camera does not bring it in time.
+
+        A file that is announced before the exposure can be over, after `least_s`, is of another shot.
+        """
         deadline = time.monotonic() + within_s
         if exposure != self._exposure:
             self._set("shutterspeed", exposure)
             self._exposure = exposure
+        self._empty_queue()
         self._trigger(deadline)
-        folder, name = self._new_file(deadline)
-        file = self._camera.file_get(folder, name, self._gp.GP_FILE_TYPE_NORMAL)
-        path = part + Path(name).suffix.lower()
-        file.save(path)
-        self._camera.file_delete(folder, name)
+        files = self._files_of_shot(time.monotonic() + least_s, deadline)
+        raw = [file for file in files if Path(file[1]).suffix.lower() in RAW_SUFFIXES]
+        if len(raw) > 1:
+            names = ", ".join(name for _, name in raw)
+            raise BadShot(f"one shot brought {names}; no telling which is its own: is a bracket or a burst set?")
+        if not raw:
+            names = ", ".join(name for _, name in files)
+            raise ValueError(f"a shot brought {names}, no RAW; set the camera's format to RAW, or RAW + JPEG")
+        path = part + Path(raw[0][1]).suffix.lower()
+        self._camera.file_get(*raw[0], self._gp.GP_FILE_TYPE_NORMAL).save(path)
+        for file in files:
+            self._camera.file_delete(*file)
         return {"path": path}
 
     def _trigger(self, deadline: float) -> None:
@@ -78,17 +100,45 @@ class Child:
                 return
             except self.error as error:
                 if error.code != self._gp.GP_ERROR_CAMERA_BUSY or time.monotonic() > deadline:
-                    raise
+                    raise ValueError(f"the camera did not release ({error}); {self._why(error.code)}") from error
             time.sleep(0.05)
 
-    def _new_file(self, deadline: float) -> tuple[str, str]:
+    def _why(self, code: int) -> str:
+        unclear = (self._gp.GP_ERROR, self._gp.GP_ERROR_CAMERA_ERROR)
+        focus = "most often its autofocus found nothing: set lens and camera to manual focus; else "
+        return (focus if code in unclear else "") + "check its card and cable, and switch it off and on"
+
+    def _files_of_shot(self, earliest: float, deadline: float) -> list[tuple[str, str]]:
+        """Folder and name of every file that a shot brings: RAW and JPEG, in either order."""
+        files: list[tuple[str, str]] = []
+        complete, last = False, time.monotonic()
         while time.monotonic() < deadline:
-            kind, data = self._camera.wait_for_event(100)
-            if kind == self._gp.GP_EVENT_FILE_ADDED:
-                return data.folder, data.name
-            if kind == self._gp.GP_EVENT_TIMEOUT:
+            kind, data = self._camera.wait_for_event(_EVENT_MS // 5 if complete else _EVENT_MS)
+            now = time.monotonic()
+            if kind == self._gp.GP_EVENT_FILE_ADDED and now >= earliest:
+                files.append((data.folder, data.name))
+                self._ours.add(Path(data.name).stem)
+                last = now
+            elif kind == self._gp.GP_EVENT_CAPTURE_COMPLETE:
+                complete = complete or now >= earliest
+            elif kind == self._gp.GP_EVENT_TIMEOUT:
+                has_raw = any(Path(name).suffix.lower() in RAW_SUFFIXES for _, name in files)
+                if has_raw and (complete or now - last > _QUIET_S):
+                    return files
                 time.sleep(_POLL_S)
-        raise TimeoutError("the camera announced no file in time")
+        if not files:
+            raise TimeoutError("the camera announced no file in time")
+        return files
+
+    def _empty_queue(self) -> None:
+        """Forget what the camera tells of earlier shots; what ours have brought late is removed from it."""
+        deadline = time.monotonic() + _QUEUE_S
+        while time.monotonic() < deadline:
+            kind, data = self._camera.wait_for_event(1)
+            if kind == self._gp.GP_EVENT_TIMEOUT:
+                return
+            if kind == self._gp.GP_EVENT_FILE_ADDED and Path(data.name).stem in self._ours:
+                self._camera.file_delete(data.folder, data.name)
 
     def _get(self, name: str) -> str | None:
         try:
@@ -117,8 +167,12 @@ def main() -> None:
         verb, arguments = json.loads(line)
         try:
             answer: dict[str, Any] = {"ok": getattr(child, verb)(**arguments)}
-        except (child.error, ValueError, OSError) as error:
-            answer = {"error": str(error) or type(error).__name__}
+        except BadShot as error:
+            answer = {"error": str(error), "again": True}
+        except ValueError as error:
+            answer = {"error": str(error)}
+        except (child.error, OSError) as error:
+            answer = {"error": f"{error or type(error).__name__}; check the camera, and switch it off and on"}
         answers.write(json.dumps(answer) + "\n")
         answers.flush()
 

@@ -12,7 +12,13 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Literal, Protocol
 
+from bssrdf.errors import DeviceError
+
 ShutterState = Literal["open", "closed"]
+
+
+class BadShot(DeviceError):
+    """A camera's shot that gave no frame of its own; another may."""
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,13 @@
 """A simulated camera as a process: `python -m bssrdf.rig.sim.camera_process SCENE WORLD SPEED PORT`.
 
 It speaks PTP/IP, so that the real libgphoto2 drives it, and serves DNGs of what the world lets it see. It prints its
-port.
+port. Habits of the scene's camera:
+
+raw+jpeg, jpeg+raw, jpeg: what it brings of each shot, in this order; default: RAW alone
+stale: the first shot brings an older frame as well, before its own
+rounded labels: it offers 1/8000 s and the like, and calls them by whole units of 0.1 ms, as some Nikons do
+automatic iso: ISO 400 below 0.1 s, whatever it is set to; other iso: ISO 200 for the sample
+no focus: it does not release; automatic focus, automatic exposure: it says that it is set so
 """
 
 from __future__ import annotations
@@ -12,8 +18,10 @@ import sys
 import threading
 import time
 import zlib
+from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 
 from bssrdf.rig.sim import ptpip
@@ -25,9 +33,11 @@ from bssrdf.rig.sim.world_server import WorldClient
 
 _DNG, _JPEG = 0x3811, 0x3801
 _STORE = 0x10001
-_EXPOSURE, _ISO, _NOISE_REDUCTION = 0x500D, 0x500F, 0xD06B
+_EXPOSURE, _ISO, _NOISE_REDUCTION, _FOCUS, _MODE = 0x500D, 0x500F, 0xD06B, 0x500A, 0x500E
+_MANUAL, _AUTOMATIC = 1, 2
 _UNIT_S = 1e-4
 """PTP gives exposure times in units of 0.1 ms."""
+_ROUNDED_S = (1 / 8000, 1 / 4000, 1 / 3200, 1 / 2000, 0.001, 1 / 500, 1 / 250, 1 / 125, 1 / 60, 1 / 30, 1 / 8, 0.5, 2.0)
 _UINT8, _UINT16, _UINT32 = 2, 4, 6
 _OPERATIONS = [0x1001, 0x1002, 0x1003, 0x1004, 0x1005, 0x1006, 0x1007, 0x1008, 0x1009, 0x100B]
 _OPERATIONS += [0x100E, 0x1014, 0x1015, 0x1016]
@@ -42,12 +52,23 @@ class SimulatedCamera:
         self._scene = scene
         self._world = world
         self._currents = scene.photo_currents()
+        self._habits = scene.camera_habits
+        times = _ROUNDED_S if "rounded labels" in self._habits else BRACKET_S
+        self._true_s = {int(seconds / _UNIT_S + 1e-6): seconds for seconds in times}
         self._choices = {
-            _EXPOSURE: ("I", _UINT32, [round(seconds / _UNIT_S) for seconds in BRACKET_S]),
+            _EXPOSURE: ("I", _UINT32, list(self._true_s)),
             _ISO: ("H", _UINT16, [100, 200, 400, 800]),
             _NOISE_REDUCTION: ("B", _UINT8, [0, 1]),
+            _FOCUS: ("H", _UINT16, [_MANUAL, _AUTOMATIC]),
+            _MODE: ("H", _UINT16, [_MANUAL, _AUTOMATIC]),
         }
-        self._values = {_EXPOSURE: 80, _ISO: 100, _NOISE_REDUCTION: 0}
+        self._values = {
+            _EXPOSURE: next(iter(self._true_s)),
+            _ISO: 100,
+            _NOISE_REDUCTION: 0,
+            _FOCUS: _AUTOMATIC if "automatic focus" in self._habits else _MANUAL,
+            _MODE: _AUTOMATIC if "automatic exposure" in self._habits else _MANUAL,
+        }
         self._files: dict[int, tuple[str, bytes]] = {}
         self._taken = 0
         self.responder = ptpip.Responder(self.operate, "bssrdf camera", port)
@@ -122,6 +143,8 @@ class SimulatedCamera:
 
     def _capture(self, transaction: int) -> Answer:
         fault = self._world.fault("camera")
+        if "no focus" in self._habits:
+            return Answer(ptpip.GENERAL_ERROR)
         if fault == "busy":
             return Answer(ptpip.BUSY)
         if fault == "store_full":
@@ -136,28 +159,50 @@ class SimulatedCamera:
         if fault == "wrong_exposure":
             choices = self._choices[_EXPOSURE][2]
             units = choices[choices.index(units) - 1]
-        exposure_s = units * _UNIT_S
+        exposure_s = self._true_s[units]
         start = self._world.now()
         time.sleep(exposure_s / self._world.speed)
         lit = self._world.lit_share(start, start + exposure_s)
         content = self._file(exposure_s, lit)
         time.sleep(_LATENCY_S)
-        self._taken += 1
-        self._files[self._taken] = (
-            f"SIM_{self._taken:04d}.DNG",
-            content[: len(content) // 3] if fault == "truncated_file" else content,
-        )
+        if fault == "truncated_file":
+            content = content[: len(content) // 3]
+        for prefix, suffix, bytes_of_file in self._brought(exposure_s, content):
+            self._taken += 1
+            self._files[self._taken] = (f"{prefix}_{self._taken:04d}{suffix}", bytes_of_file)
+            if fault != "no_event":
+                self.responder.send_event(ptpip.OBJECT_ADDED, transaction, [self._taken])
         if fault != "no_event":
-            self.responder.send_event(ptpip.OBJECT_ADDED, transaction, [self._taken])
             self.responder.send_event(ptpip.CAPTURE_COMPLETE, transaction, [])
+
+    def _brought(self, exposure_s: float, content: bytes) -> list[tuple[str, str, bytes]]:
+        """Beginning and end of the name, and content, of each file of a shot."""
+        raw, jpeg = ("SIM", ".DNG", content), ("SIM", ".JPG", _jpeg())
+        of_habit = {"raw+jpeg": [raw, jpeg], "jpeg+raw": [jpeg, raw], "jpeg": [jpeg]}
+        files = next((of_habit[habit] for habit in self._habits if habit in of_habit), [raw])
+        if "stale" in self._habits and not self._taken:
+            files = [("OLD", ".DNG", self._file(exposure_s, 0.7)), *files]
+        return files
 
     def _file(self, exposure_s: float, lit: float) -> bytes:
         subject = str(self._world.status()["subject"])
         seed = [self._scene.seed, zlib.crc32(f"{subject} {exposure_s:.4f} {lit:.3f}".encode())]
         if self._scene.noise == "fresh":
             seed.append(self._taken)
-        dn = expose(self._scene.sensor, lit * self._currents[subject], exposure_s, np.random.default_rng(seed))
-        return dng_bytes(dn, self._scene.sensor, exposure_s, self._values[_ISO])
+        sensor, iso = self._scene.sensor, self._iso(subject, exposure_s)
+        amplified = replace(sensor, gain_e_per_dn=sensor.gain_e_per_dn * self._values[_ISO] / iso)
+        dn = expose(amplified, lit * self._currents[subject], exposure_s, np.random.default_rng(seed))
+        return dng_bytes(dn, sensor, exposure_s, iso)
+
+    def _iso(self, subject: str, exposure_s: float) -> int:
+        if "automatic iso" in self._habits and exposure_s < 0.1:
+            return 400
+        return 200 if "other iso" in self._habits and subject == "sample" else self._values[_ISO]
+
+
+def _jpeg() -> bytes:
+    _, content = cv2.imencode(".jpg", np.full((400, 600, 3), 128, np.uint8))
+    return content.tobytes()
 
 
 def _storage_info() -> bytes:
