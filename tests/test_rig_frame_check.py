@@ -7,11 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bssrdf.errors import DeviceError, InputError
-from bssrdf.rig.folder_camera import FolderCamera
+from bssrdf.errors import InputError
 from bssrdf.rig.frame_check import Seen, check, drift
 from bssrdf.rig.metering import metered
-from bssrdf.rig.ports import BenchClock
 from bssrdf.rig.sim.raw_files import dng_bytes
 from bssrdf.rig.sim.sensor import Sensor, expose
 from bssrdf.rig.steps import Step
@@ -100,28 +98,3 @@ def test_metering_finds_the_longest_unsaturated_time_in_few_shots(tmp_path: Path
     assert len(shots) < 13
     with pytest.raises(InputError, match="give list_s"):
         metered(shot, ())
-
-
-def test_a_folder_camera_takes_the_next_whole_file(tmp_path: Path) -> None:
-    folder, out = tmp_path / "in", tmp_path / "out"
-    folder.mkdir()
-    out.mkdir()
-    (folder / "old.dng").write_bytes(b"old")
-    camera = FolderCamera(BenchClock(), str(folder), overhead_s=1.0)
-    camera.connect()
-    content = iter([b"ha", b"half", b"whole", b"whole"])
-
-    def camera_program() -> None:
-        (folder / "new.DNG").write_bytes(next(content, b"whole"))
-
-    taken = camera.take(0.01, out / "1.part", camera_program)
-    assert taken == out / "1.part.dng"
-    assert taken.read_bytes() == b"whole"
-
-
-def test_a_folder_that_stays_empty_is_reported_in_time(tmp_path: Path) -> None:
-    camera = FolderCamera(BenchClock(), str(tmp_path), overhead_s=0.2)
-    with pytest.raises(DeviceError, match=r"no new frame within 0\.21 s"):
-        camera.take(0.01, tmp_path / "1.part", lambda: None)
-    with pytest.raises(DeviceError, match="no such folder"):
-        FolderCamera(BenchClock(), str(tmp_path / "none")).connect()
