@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import math
 import random
 import shutil
 import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from statistics import median
@@ -40,7 +41,9 @@ SHUTTER_FAULTS = (
     "interlock",
 )
 CAMERA_FAULTS = ("busy", "busy_always", "no_event", "wrong_exposure", "store_full", "truncated_file", "crash")
-FAULTS = tuple(("shutter", fault) for fault in SHUTTER_FAULTS) + tuple(("camera", fault) for fault in CAMERA_FAULTS)
+COMMAND_FAULTS = ("fails", "killed", "late")
+COMMAND_SHUTTER_FAULTS = (*COMMAND_FAULTS, "fails after", "mumbles", "stuck_open", "stuck_closed")
+COMMAND_CAMERA_FAULTS = (*COMMAND_FAULTS, "no_file", "truncated_file", "wrong_exposure")
 
 PLAN = """\
 drift_check = true
@@ -57,6 +60,13 @@ _COMMANDS_A_FRAME = 8
 """Commands to the shutter within which a fault is put."""
 _SELF_CLOSE_S = 8.0
 """Longest time in which a controller that cannot be reached any more closes by itself."""
+BENCHES = (
+    ("sc10", "gphoto2", _SELF_CLOSE_S),
+    ("scpi", "gphoto2", 2.0),
+    ("command", "command", math.inf),
+    ("manual", "command", math.inf),
+)
+"""Drivers of shutter and camera, and the time in which the shutter closes when the capture is killed."""
 
 
 @dataclass(frozen=True)
@@ -82,6 +92,10 @@ class Campaign:
 
     def __init__(self, bench: SimulatedBench, folder: Path) -> None:
         self._bench, self._folder = bench, folder
+        self._names = {
+            "camera": ("gphoto2 camera", "command camera"),
+            "shutter": (str(bench.folder / "shutter"), "command shutter", "command beam", "manual shutter"),
+        }
         self._plan = folder / "plan.toml"
         self._plan.write_text(PLAN, encoding="utf-8")
         self._expected = self._listed(self._capture(folder / "undisturbed"))
@@ -101,8 +115,7 @@ class Campaign:
             self._capture(session, report=arm)
         except BssrdfError as error:
             message = str(error)
-            named = "gphoto2" if device == "camera" else str(self._bench.folder / "shutter")
-            if named not in message:
+            if not any(name in message for name in self._names[device]):
                 problems.append("the message does not name the device")
         if not self._dark(fault):
             problems.append("light falls on the sample")
@@ -119,7 +132,8 @@ class Campaign:
     def kill(self, delay_s: float, within_s: float) -> Run:
         """Kill a capture in its own process after a while by SIGKILL; then resume and compare.
 
-        `within_s` is the time in which the world's shutter must be closed after the kill.
+        `within_s` is the time in which the world's shutter must be closed after the kill; infinite where nothing
+        closes it.
         """
         session = self._fresh("killed")
         code = "import sys; from pathlib import Path as P; from bssrdf.rig.capture import capture; "
@@ -132,7 +146,7 @@ class Campaign:
         time.sleep(delay_s)
         process.send_signal(signal.SIGKILL)
         process.wait()
-        problems = [] if self._closes(within_s) else ["the shutter is open"]
+        problems = [] if math.isinf(within_s) or self._closes(within_s) else ["the shutter is open"]
         problems += self._lost(session)
         files = len(list((session / "frames").glob("*"))) - len(recover_frames(session))
         if files > 1:
@@ -145,7 +159,7 @@ class Campaign:
     def repair(self) -> None:
         """Bring the bench back to what it was."""
         self._bench.world.clear()
-        for part in ("shutter", "camera"):
+        for part in self._bench.with_process:
             if not self._bench.alive(part) or (part == "shutter" and not (self._bench.folder / "shutter").exists()):
                 self._bench.start(part)
 
@@ -182,12 +196,21 @@ class Campaign:
         return [f"{file} is not as it was taken" for file in wrong]
 
 
-def every_fault(seed: int = 1) -> list[tuple[str, str, int, int]]:
+def faults_of(shutter: str, camera: str) -> tuple[Sequence[str], Sequence[str]]:
+    """What may go wrong with a shutter and with a camera of these drivers; a person makes no fault here."""
+    of_shutter = {"manual": (), "command": COMMAND_SHUTTER_FAULTS}
+    return of_shutter.get(shutter, SHUTTER_FAULTS), COMMAND_CAMERA_FAULTS if camera == "command" else CAMERA_FAULTS
+
+
+def every_fault(
+    seed: int = 1, shutter: Sequence[str] = SHUTTER_FAULTS, camera: Sequence[str] = CAMERA_FAULTS
+) -> list[tuple[str, str, int, int]]:
     """Each switch at each frame, at a random command of it: arguments of `Campaign.disturb`."""
     rng = random.Random(seed)
+    faults = [("shutter", fault) for fault in shutter] + [("camera", fault) for fault in camera]
     return [
         (device, fault, frame, rng.randrange(_COMMANDS_A_FRAME) if device == "shutter" else 0)
-        for device, fault in FAULTS
+        for device, fault in faults
         for frame in range(1, N_FRAMES + 1)
     ]
 
@@ -210,18 +233,17 @@ def file_safety_ms(folder: Path, megabytes: int = 25, frames: int = 20) -> float
 
 
 def run_bench(folder: Path, *, kills: int = 100, seed: int = 1) -> str:
-    """The whole campaign over both controllers, and the kills; a summary, with every problem on a line of its own."""
+    """The whole campaign over every controller, and the kills; a summary, with each problem on a line of its own."""
     lines = [f"file safety: {file_safety_ms(folder / 'files'):.0f} ms a frame of 25 MB"]
     rng = random.Random(seed)
-    for shutter in ("sc10", "scpi"):
+    for shutter, camera, within_s in BENCHES:
         place = folder / shutter
         place.mkdir(parents=True)
-        bench = SimulatedBench(place, small_scene(), shutter=shutter)
+        bench = SimulatedBench(place, small_scene(), shutter=shutter, camera=camera)
         try:
             campaign = Campaign(bench, place)
-            runs = [campaign.disturb(*arguments) for arguments in every_fault(seed)]
-            within_s = _SELF_CLOSE_S if shutter == "sc10" else 2.0
-            runs += [campaign.kill(rng.uniform(0, 2.0), within_s) for _ in range(kills // 2)]
+            runs = [campaign.disturb(*arguments) for arguments in every_fault(seed, *faults_of(shutter, camera))]
+            runs += [campaign.kill(rng.uniform(0, 2.0), within_s) for _ in range(kills // len(BENCHES))]
         finally:
             bench.stop()
         lines.append(f"{shutter}: {len(runs)} runs, {sum(bool(run.problems) for run in runs)} with problems")

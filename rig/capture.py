@@ -107,7 +107,7 @@ def make_safe(devices: Devices) -> str:
             problem = ""
             break
         except DeviceError as error:
-            problem = f"the shutter did not close ({error})"
+            problem = f"closing the shutter failed ({error}), so that its state is unknown"
             with contextlib.suppress(DeviceError):  # a port that was lost may be back
                 devices.shutter.release()
                 devices.shutter.connect()

@@ -37,12 +37,8 @@ class CommandShutter:
             raise DeviceError(f"{self.name}: was told to open, but says closed; check lamp, interlock and cable")
 
     def close(self) -> None:
-        try:
-            self._run(self._close)
-            state = self.state()
-        except DeviceError as error:
-            raise DeviceError(f"{error}; the shutter's state is unknown") from error
-        if state == "open":
+        self._run(self._close)
+        if self.state() == "open":
             raise DeviceError(f"{self.name}: was told to close, but says open; block the beam by hand")
 
     def state(self) -> ShutterState | None:

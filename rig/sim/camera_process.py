@@ -1,10 +1,10 @@
 """A simulated camera as a process: `python -m bssrdf.rig.sim.camera_process SCENE WORLD SPEED PORT`.
 
 It speaks PTP/IP, so that the real libgphoto2 drives it, and serves DNGs of what the world lets it see. It prints its
-port. Habits of the scene's camera:
+port. Habits that the world may give it:
 
-raw+jpeg, jpeg+raw, jpeg: what it brings of each shot, in this order; default: RAW alone
-stale: the first shot brings an older frame as well, before its own
+raw+jpeg, jpeg+raw, jpeg: what it brings of each shot, in this order; without them RAW alone
+stale: the first shot after it was connected brings an older frame as well, before its own; burst: each shot does
 rounded labels: it offers 1/8000 s and the like, and calls them by whole units of 0.1 ms, as some Nikons do
 automatic iso: ISO 400 below 0.1 s, whatever it is set to; other iso: ISO 200 for the sample
 no focus: it does not release; automatic focus, automatic exposure: it says that it is set so
@@ -52,23 +52,16 @@ class SimulatedCamera:
         self._scene = scene
         self._world = world
         self._currents = scene.photo_currents()
-        self._habits = scene.camera_habits
-        times = _ROUNDED_S if "rounded labels" in self._habits else BRACKET_S
-        self._true_s = {int(seconds / _UNIT_S + 1e-6): seconds for seconds in times}
         self._choices = {
-            _EXPOSURE: ("I", _UINT32, list(self._true_s)),
+            _EXPOSURE: ("I", _UINT32, list(_labelled(BRACKET_S))),
             _ISO: ("H", _UINT16, [100, 200, 400, 800]),
             _NOISE_REDUCTION: ("B", _UINT8, [0, 1]),
             _FOCUS: ("H", _UINT16, [_MANUAL, _AUTOMATIC]),
             _MODE: ("H", _UINT16, [_MANUAL, _AUTOMATIC]),
         }
-        self._values = {
-            _EXPOSURE: next(iter(self._true_s)),
-            _ISO: 100,
-            _NOISE_REDUCTION: 0,
-            _FOCUS: _AUTOMATIC if "automatic focus" in self._habits else _MANUAL,
-            _MODE: _AUTOMATIC if "automatic exposure" in self._habits else _MANUAL,
-        }
+        self._values = {_EXPOSURE: 80, _ISO: 100, _NOISE_REDUCTION: 0, _FOCUS: _MANUAL, _MODE: _MANUAL}
+        self._true_s = _labelled(BRACKET_S)
+        self._habits: list[str] = []
         self._files: dict[int, tuple[str, bytes]] = {}
         self._taken = 0
         self.responder = ptpip.Responder(self.operate, "bssrdf camera", port)
@@ -76,7 +69,7 @@ class SimulatedCamera:
     def operate(self, code: int, parameters: list[int], data: bytes, transaction: int) -> Answer:
         handlers = {
             0x1001: lambda: Answer(ptpip.OK, self._device_info()),
-            0x1002: lambda: Answer(ptpip.OK),
+            0x1002: self._begin,
             0x1003: lambda: Answer(ptpip.OK),
             0x1004: lambda: Answer(ptpip.OK, ptpip.array([_STORE], "I")),
             0x1005: lambda: Answer(ptpip.OK, _storage_info()),
@@ -96,6 +89,16 @@ class SimulatedCamera:
             return handlers[code]()
         except KeyError:
             return Answer(ptpip.GENERAL_ERROR)
+
+    def _begin(self) -> Answer:
+        """A session is opened: the habits of now are taken on."""
+        self._habits, self._shots = self._world.habits(), 0
+        self._true_s = _labelled(_ROUNDED_S if "rounded labels" in self._habits else BRACKET_S)
+        self._choices[_EXPOSURE] = ("I", _UINT32, list(self._true_s))
+        self._values[_EXPOSURE] = next(iter(self._true_s))
+        self._values[_FOCUS] = _AUTOMATIC if "automatic focus" in self._habits else _MANUAL
+        self._values[_MODE] = _AUTOMATIC if "automatic exposure" in self._habits else _MANUAL
+        return Answer(ptpip.OK)
 
     def _device_info(self) -> bytes:
         return (
@@ -180,7 +183,8 @@ class SimulatedCamera:
         raw, jpeg = ("SIM", ".DNG", content), ("SIM", ".JPG", _jpeg())
         of_habit = {"raw+jpeg": [raw, jpeg], "jpeg+raw": [jpeg, raw], "jpeg": [jpeg]}
         files = next((of_habit[habit] for habit in self._habits if habit in of_habit), [raw])
-        if "stale" in self._habits and not self._taken:
+        self._shots += 1
+        if "burst" in self._habits or ("stale" in self._habits and self._shots == 1):
             files = [("OLD", ".DNG", self._file(exposure_s, 0.7)), *files]
         return files
 
@@ -198,6 +202,11 @@ class SimulatedCamera:
         if "automatic iso" in self._habits and exposure_s < 0.1:
             return 400
         return 200 if "other iso" in self._habits and subject == "sample" else self._values[_ISO]
+
+
+def _labelled(times_s: tuple[float, ...]) -> dict[int, float]:
+    """True exposure times by the whole units that the camera calls them."""
+    return {int(seconds / _UNIT_S + 1e-6): seconds for seconds in times_s}
 
 
 def _jpeg() -> bytes:

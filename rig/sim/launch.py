@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import select
+import shlex
 import subprocess
 import sys
 import tempfile
@@ -12,8 +13,11 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from bssrdf.errors import DeviceError
-from bssrdf.rig.sim.scene import Scene, write_scene
+from bssrdf.rig.sim.command_camera import CURRENTS
+from bssrdf.rig.sim.scene import BRACKET_S, Scene, write_scene
 from bssrdf.rig.sim.world_server import WorldClient
 from bssrdf.session.toml_text import toml_table
 
@@ -24,6 +28,10 @@ TILE_SD = 0.001
 """What rig.toml states as the errors of the scale, relative, and of the tile's reflectance."""
 VIEW_ANGLE_SD_DEG = 0.2
 _OVERHEAD_S = 2.0
+_COMMAND_S = 8.0
+_WITHOUT_PROCESS = ("manual", "command")
+"""Parts that run only when they are asked for something."""
+_VERBS = ("open", "close", "state", "on", "off")
 _WATCHDOG_S = 1.5
 """Of our time, however fast the bench runs."""
 
@@ -31,8 +39,10 @@ _WATCHDOG_S = 1.5
 class SimulatedBench:
     """The processes of one bench, in a folder of its own."""
 
-    def __init__(self, folder: Path, scene: Scene, *, shutter: str = "sc10", speed: float = 20.0) -> None:
-        self.folder, self.speed, self._shutter = folder, speed, shutter
+    def __init__(
+        self, folder: Path, scene: Scene, *, shutter: str = "sc10", camera: str = "gphoto2", speed: float = 20.0
+    ) -> None:
+        self.folder, self.speed, self._shutter, self._camera = folder, speed, shutter, camera
         self._processes: dict[str, subprocess.Popen[str]] = {}
         self._socket = folder / "world"
         self._camera_port = 0
@@ -41,13 +51,21 @@ class SimulatedBench:
         try:
             self.start("world")
             self.world = WorldClient(self._socket, speed)
-            self.start("shutter")
-            self.start("camera")
+            for part in self.with_process:
+                self.start(part)
+            if camera == "command":
+                np.savez(folder / CURRENTS, **scene.photo_currents())  # type: ignore[arg-type]  # names to arrays
         except BaseException:
             self.stop()
             raise
         self.rig_file = folder / "rig.toml"
         self.rig_file.write_text(self._rig_toml(scene), encoding="utf-8")
+
+    @property
+    def with_process(self) -> tuple[str, ...]:
+        """Parts beside the world that are processes of their own."""
+        parts = {"shutter": self._shutter, "camera": self._camera}
+        return tuple(part for part, driver in parts.items() if driver not in _WITHOUT_PROCESS)
 
     def start(self, part: str) -> None:
         """Start one process, or start it again after it was ended."""
@@ -90,12 +108,7 @@ class SimulatedBench:
             self.end(part)
 
     def _rig_toml(self, scene: Scene) -> str:
-        serial: dict[str, Any] = {"port": str(self.folder / "shutter"), "timeout_s": _REPLY_S}
-        shutter: dict[str, Any] = {"driver": self._shutter, **serial}
-        beam: dict[str, Any] = {"driver": "manual"}
-        if self._shutter == "scpi":
-            shutter["watchdog_s"] = _WATCHDOG_S * self.speed
-            beam = {"driver": "scpi", **serial}
+        shutter, beam = self._shutter_tables()
         view = scene.view
         geometry: dict[str, Any] = {"view_angle_deg": view.view_angle_deg, "view_axis": view.view_axis}
         geometry |= {"view_angle_sd_deg": VIEW_ANGLE_SD_DEG, "mm_per_px_rel_sd": SCALE_REL_SD}
@@ -107,11 +120,7 @@ class SimulatedBench:
             "shutter": shutter,
             "beam": {**beam, "kind": "white", "spot_radius_mm": scene.spot_radius_mm},
             "camera": {
-                "driver": "gphoto2",
-                "port": f"ptpip:127.0.0.1:{self._camera_port}:{self._camera_port}",
-                "model": "PTP/IP Camera",
-                "iso": "100",
-                "overhead_s": _OVERHEAD_S,
+                **self._camera_table(),
                 "frame_mb": 2 * scene.sensor.height_px * scene.sensor.width_px / 1e6,
             },
             "geometry": geometry,
@@ -124,6 +133,37 @@ class SimulatedBench:
             "simulated": {"world": str(self._socket), "speed": self.speed},
         }
         return "\n".join(f"[{name}]\n{toml_table(table)}" for name, table in tables.items())
+
+    def _shutter_tables(self) -> tuple[dict[str, Any], dict[str, Any]]:
+        """Drivers of shutter and beam, and their keys."""
+        serial: dict[str, Any] = {"driver": self._shutter, "port": str(self.folder / "shutter"), "timeout_s": _REPLY_S}
+        lamp: dict[str, Any] = {"driver": "manual"}
+        if self._shutter == "scpi":
+            return {**serial, "watchdog_s": _WATCHDOG_S * self.speed}, serial
+        if self._shutter == "command":
+            do = {verb: self._words("command_shutter", self._socket, self.speed, verb) for verb in _VERBS}
+            own = {"driver": "command", "timeout_s": _COMMAND_S}
+            return (
+                {**own, **{verb: do[verb] for verb in ("open", "close", "state")}},
+                {**own, **{verb: do[verb] for verb in ("on", "off")}},
+            )
+        return ({"driver": "manual"} if self._shutter == "manual" else serial), lamp
+
+    def _camera_table(self) -> dict[str, Any]:
+        if self._camera == "command":
+            arguments = (self.scene_file, self._socket, self.speed, "{exposure_s}", "{out}")
+            words = self._words("command_camera", *arguments)
+            return {"driver": "command", "expose": words, "exposures_s": BRACKET_S, "timeout_s": _COMMAND_S}
+        return {
+            "driver": "gphoto2",
+            "port": f"ptpip:127.0.0.1:{self._camera_port}:{self._camera_port}",
+            "model": "PTP/IP Camera",
+            "iso": "100",
+            "overhead_s": _OVERHEAD_S,
+        }
+
+    def _words(self, module: str, *arguments: object) -> str:
+        return shlex.join([sys.executable, "-m", f"bssrdf.rig.sim.{module}", *map(str, arguments)])
 
 
 @contextmanager

@@ -45,8 +45,6 @@ class Scene:
     seed: int = 1
     noise: str = "fresh"
     """With "repeatable", the same exposure of the same subject gives the same file again."""
-    camera_habits: tuple[str, ...] = ()
-    """What the camera does that a user did not mean it to: names that `camera_process` knows."""
 
     @property
     def view(self) -> View:
@@ -98,8 +96,7 @@ def read_scene(path: Path) -> Scene:
     del document["light"], document["radiance_factor"]
     sample, tile = (_sample(document.pop(part)) for part in ("sample", "tile"))
     sensor = Sensor(**document.pop("sensor"))
-    for name in ("channel_power", "camera_habits"):
-        document[name] = tuple(document[name])
+    document["channel_power"] = tuple(document["channel_power"])
     return Scene(sample, tile, sensor, **document)
 
 

@@ -9,7 +9,12 @@ import math
 from typing import Any
 
 STUCK = ("stuck_open", "stuck_closed")
-LASTING = (*STUCK, "interlock", "busy_always")
+CAMERA_HABITS = (
+    *("raw+jpeg", "jpeg+raw", "jpeg", "stale", "burst", "rounded labels"),
+    *("automatic iso", "other iso", "no focus", "automatic focus", "automatic exposure"),
+)
+"""What a camera does that its user did not mean it to; `camera_process` plays them."""
+LASTING = (*STUCK, "interlock", "busy_always", *CAMERA_HABITS)
 """Faults that stay until `clear`; every other is played once."""
 
 
@@ -92,6 +97,10 @@ class World:
             return "busy"
         waiting = self._faults.get(device)
         return waiting.pop(0) if waiting else None
+
+    def habits(self) -> list[str]:
+        """What the camera does with every shot, until `clear`."""
+        return sorted(self._lasting & set(CAMERA_HABITS))
 
     def status(self, t: float) -> dict[str, Any]:
         return {

@@ -63,6 +63,9 @@ class WorldClient:
         answer = self.call("fault", device)
         return str(answer) if answer else None
 
+    def habits(self) -> list[str]:
+        return list(self.call("habits"))
+
     def status(self) -> dict[str, Any]:
         return dict(self.call("status", self.now()))
 
