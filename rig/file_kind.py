@@ -6,7 +6,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from bssrdf.errors import DeviceError
-from bssrdf.session.frame_files import ENCODED_SUFFIXES, IMAGE_SUFFIXES, RAW_SUFFIXES
+from bssrdf.session.frame_files import ENCODED_SUFFIXES, IMAGE_SUFFIXES
+from bssrdf.session.raw_file import RAW_SUFFIXES
 
 _BEGINNINGS = {
     b"IIU\0": ".rw2",
