@@ -29,6 +29,8 @@ from bssrdf.session.records import Frame
 
 DRIFT_FLAGGED = 0.003
 _TRIES = 3
+_ISO_ROUNDED = 0.05
+"""Relative; the next step of ISO is 26 % off."""
 _WATCH_S = 0.25
 """How often the shutter is asked for its state during an exposure."""
 
@@ -212,7 +214,7 @@ class _Run:
             file = self._expose(step, self._session / "frames" / f"{step.name}.part")
             seen, wrong = check(file, step, self._longer(step), self._white)
             frame = self._line(step, file, seen)
-            wrong = next((f"it {unlike.fact}" for unlike in differences([*self._kept, frame])), wrong)
+            wrong = self._set_otherwise(frame) or wrong
             if seen is not None and not wrong:
                 self._keep(step, file, frame)
                 self._report(event._replace(what="done", peak=seen.peak))
@@ -286,6 +288,13 @@ class _Run:
         name = f"frames/{step.name}{file.suffix}"
         exposure_s = seen.exposure_s if seen is not None else step.exposure_s
         return Frame(name, step.kind, exposure_s, card=card_of_file(file))
+
+    def _set_otherwise(self, frame: Frame) -> str:
+        """How the file's own words differ from the camera's settings, or from the frames before; else nothing."""
+        iso = self._devices.camera.settings().get("iso", "")
+        if iso.isdecimal() and frame.card.iso and abs(frame.card.iso / int(iso) - 1) > _ISO_ROUNDED:
+            return f"it has ISO {frame.card.iso:g}, but the camera is set to {iso}: is its ISO automatic?"
+        return next((f"it {unlike.fact}" for unlike in differences([*self._kept, frame])), "")
 
     def _keep(self, step: Step, file: Path, frame: Frame) -> None:
         """Have the frame on disk under its own name, and then in the journal."""

@@ -44,10 +44,10 @@ class ConsoleOperator:
 
     def _ask(self, task: str) -> None:
         """Wait until the person has done it; DeviceError where nobody is there, or nobody does."""
-        print(f"{task}, then press Enter.", file=sys.stderr, flush=True)
         handle = _keyboard()
         limit_s = _UNSAFE_S if self._signals.making_safe else _OPERATOR_S
         with self._signals.at_prompt():
+            print(f"{task}, then press Enter.", file=sys.stderr, flush=True)
             answered = None if handle is None else _line(handle, limit_s)
         if answered is None:
             raise DeviceError(
