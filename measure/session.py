@@ -23,6 +23,7 @@ from bssrdf.measure.merge import Hdr, Progress, merge
 from bssrdf.measure.merged import Merged, Told, inputs_of, read_merged
 from bssrdf.measure.pixels import channel_names, mosaic_period
 from bssrdf.measure.plot import write_slice_png
+from bssrdf.measure.temperature import warm_dark
 from bssrdf.session.atomic import replace_folder, sha256_of
 from bssrdf.session.constancy import check_constant, with_cards
 from bssrdf.session.frames_csv import read_frames
@@ -99,7 +100,10 @@ def _merged(session: Session, listed: Sequence[Frame], hdr_rel_sd: float | None,
     every = (bracket_of(kind, session.path, frames, response) for kind in _KINDS)
     brackets: dict[str, Bracket] = {bracket.kind: bracket for bracket in every if bracket.frames}
     images, camera = read_elsewhere(session, frames, hdr_rel_sd)
-    learnt = None
+    learnt, found = None, {}
+    if dark := warm_dark(brackets.values()):
+        flags.append("dark_temperature")
+        found["dark_temperature"] = str(dark)
     layouts = {kind: layout_of(bracket, session.camera) for kind, bracket in brackets.items()}
     if brackets:
         camera = camera_of(next(iter(brackets.values())), session.camera)
@@ -117,7 +121,7 @@ def _merged(session: Session, listed: Sequence[Frame], hdr_rel_sd: float | None,
         tuple(flags),
         inputs,
     )
-    return Merged(images, told, _provenance(session, timing, learnt, hashes))
+    return Merged(images, told, _provenance(session, timing, learnt, hashes) | {"found": found})
 
 
 def _check_complete(session: Session, frames: Sequence[Frame]) -> None:

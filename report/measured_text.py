@@ -17,5 +17,11 @@ def measured_text(measured: Measured) -> str:
                 total = f"R {measured.slice.total_r[name]:.4f} ± {sd:.4f} as the camera saw it"
             reach = f"{channel.r_mm[0]:.2g}–{channel.r_mm[-1]:.3g} mm"
             lines.append(f"{name}: {total}, {len(channel.r_mm)} radii, {reach}")
-        lines += [f"{flag}: {MEANING[flag]}" for flag in measured.slice.flags]
+        found = measured.provenance.get("found", {})
+        lines += [f"{flag}: {MEANING[flag]}{_value(found.get(flag))}" for flag in measured.slice.flags]
     return "\n".join(lines)
+
+
+def _value(found: str | None) -> str:
+    """What was found of a flag, in figures, where it has any."""
+    return f" ({found})" if found else ""
