@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ import tifffile
 from bssrdf.cli import cli
 from bssrdf.console import run
 from bssrdf.errors import InputError, UsageError
+from bssrdf.session.frame_files import read_frame_file
 from bssrdf.session.frames_csv import read_frames
 from bssrdf.session.hdr_exr import read_hdr_exr
 from bssrdf.session.ingest import ingest_folder
@@ -81,6 +83,79 @@ def test_a_kind_in_the_path_needs_no_rule(tmp_path: Path) -> None:
         "frames/x_sample_1s.tif": "sample",
         "frames/x-dark_1s.tif": "dark",
     }
+
+
+STACK = np.stack([np.full((6, 8), level, np.uint16) for level in (110, 140, 260)])
+
+
+def test_a_stack_becomes_a_file_for_each_picture(tmp_path: Path) -> None:
+    (tmp_path / "in" / "sample").mkdir(parents=True)
+    plane = {"ExposureTime": [1.0, 4.0, 16.0], "ExposureTimeUnit": ["ms"] * 3}
+    tifffile.imwrite(tmp_path / "in/sample/a.ome.tif", STACK, metadata={"axes": "TYX", "Plane": plane})
+    frames = ingest_folder(tmp_path / "in", tmp_path / "s")
+    assert [(frame.file, frame.kind, frame.exposure_s, frame.exposure_rel_sd) for frame in frames] == [
+        (f"frames/sample/a.ome_page{page}.tif", "sample", exposure_s, 0.001)
+        for page, exposure_s in enumerate((0.001, 0.004, 0.016), 1)
+    ]
+    for frame, data in zip(frames, STACK, strict=True):
+        np.testing.assert_array_equal(read_frame_file(tmp_path / "s" / frame.file).data, data)
+    assert verify_session(tmp_path / "s").frames == frames
+
+
+def test_a_stack_that_does_not_tell_its_exposures_needs_a_table(tmp_path: Path) -> None:
+    (tmp_path / "in" / "dark").mkdir(parents=True)
+    (tmp_path / "in" / "sample").mkdir(parents=True)
+    for kind in ("sample", "dark"):
+        tifffile.imwrite(tmp_path / "in" / kind / "a_250ms.tif", STACK, metadata=None, photometric="minisblack")
+    with pytest.raises(InputError, match="stack of 3 pictures that does not tell the exposure of each"):
+        ingest_folder(tmp_path / "in", tmp_path / "s")
+    lines = [f"{kind}/a_250ms.tif,{page},{page} ms" for kind in ("sample", "dark") for page in (1, 2, 3)]
+    (tmp_path / "times.csv").write_text("\n".join(["file,page,exposure_s", *lines]))
+    frames = ingest_folder(tmp_path / "in", tmp_path / "s", exposure_from=str(tmp_path / "times.csv"))
+    assert [frame.exposure_s for frame in frames] == [0.001, 0.002, 0.003] * 2
+    with pytest.raises(InputError, match="--exposure-from"):
+        ingest_folder(tmp_path / "in", tmp_path / "t", exposure_from="_(x)")
+
+
+def test_hidden_files_and_sidecars_are_no_frames(folder: Path, tmp_path: Path) -> None:
+    for name in ("wax/._a_10ms_1.tif", ".Trashes/a_1s.tif", "__MACOSX/wax/a_1s.tif", "wax/.hidden_1s.tif"):
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_bytes(b"sidecar")
+    assert len(ingest_folder(folder, tmp_path / "s", kinds=RULES)) == 6
+
+
+@pytest.mark.parametrize("name", [b"caf\xe9_1s.tif", b"a\nb_1s.tif"])
+def test_a_name_that_frames_csv_cannot_hold_is_refused_in_one_line(
+    folder: Path, tmp_path: Path, name: bytes, capsys: pytest.CaptureFixture[str]
+) -> None:
+    try:
+        Path(os.fsdecode(bytes(folder / "wax") + b"/" + name)).write_bytes((folder / "wax/a_10ms_1.tif").read_bytes())
+    except OSError:
+        pytest.skip("the file system does not take such a name")
+    kinds = [word for rule in RULES for word in ("--kind", rule)]
+    assert run(cli, ["ingest", str(folder), "--out", str(tmp_path / "s"), *kinds]) == 3
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "whose name is not plain text; rename it" in line
+    assert not (tmp_path / "s").exists()
+
+
+def test_merged_images_are_taken_with_exposure_1(tmp_path: Path) -> None:
+    picture = np.random.default_rng(0).random((9, 7, 3)).astype(np.float32)
+    for name in ("sample_hdr/a.tif", "reference-hdr_b.pfm"):
+        (tmp_path / "in" / name).parent.mkdir(parents=True, exist_ok=True)
+    tifffile.imwrite(tmp_path / "in/sample_hdr/a.tif", picture)
+    (tmp_path / "in/reference-hdr_b.pfm").write_bytes(b"PF\n7 9\n-1.0\n" + picture.astype("<f4").tobytes())
+    frames = ingest_folder(tmp_path / "in", tmp_path / "s")
+    assert [(frame.kind, frame.exposure_s) for frame in frames] == [("reference_hdr", 1.0), ("sample_hdr", 1.0)]
+    rgbe = np.full((2, 3, 4), 130, np.uint8)
+    (tmp_path / "radiance").mkdir()
+    head = b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y 2 +X 3\n"
+    for kind in ("sample", "reference"):
+        (tmp_path / "radiance" / f"{kind}.hdr").write_bytes(head + rgbe.tobytes())
+    assert [frame.kind for frame in ingest_folder(tmp_path / "radiance", tmp_path / "t")] == [
+        "reference_hdr",
+        "sample_hdr",
+    ]
 
 
 def test_select_leaves_out_light_frames_but_no_darks(folder: Path, tmp_path: Path) -> None:
