@@ -143,7 +143,7 @@ def test_merged_images_are_taken_with_exposure_1(tmp_path: Path) -> None:
     picture = np.random.default_rng(0).random((9, 7, 3)).astype(np.float32)
     for name in ("sample_hdr/a.tif", "reference-hdr_b.pfm"):
         (tmp_path / "in" / name).parent.mkdir(parents=True, exist_ok=True)
-    tifffile.imwrite(tmp_path / "in/sample_hdr/a.tif", picture)
+    tifffile.imwrite(tmp_path / "in/sample_hdr/a.tif", picture, photometric="rgb")
     (tmp_path / "in/reference-hdr_b.pfm").write_bytes(b"PF\n7 9\n-1.0\n" + picture.astype("<f4").tobytes())
     frames = ingest_folder(tmp_path / "in", tmp_path / "s")
     assert [(frame.kind, frame.exposure_s) for frame in frames] == [("reference_hdr", 1.0), ("sample_hdr", 1.0)]
