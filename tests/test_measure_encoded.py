@@ -36,11 +36,16 @@ def jpegs(tmp_path):
 
 def complete(session):
     file = session / "session.toml"
-    tables = (
-        f"[material]\nname = 'wax'\neta = 1.4\n[geometry]\nmm_per_px = {MM_PER_PX}\n"
-        "[reference]\nname = 'tile'\nreflectance = [1.0]\n"
-    )
-    file.write_text(file.read_text() + tables)
+    text = file.read_text()
+    for old, new in (
+        ('"unnamed"', '"wax"'),
+        ("eta = 1.3", "eta = 1.4"),
+        ("mm_per_px = 0.05", f"mm_per_px = {MM_PER_PX}"),
+        ("[0.99, 0.99, 0.99]", "[1.0, 1.0, 1.0]"),
+    ):
+        assert f"= {old}" in text or f"\n{old}" in text
+        text = text.replace(old, new, 1)
+    file.write_text(text)
 
 
 def test_they_are_left_out_and_refused_with_a_line_that_names_the_option(jpegs, tmp_path, capsys):
