@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bssrdf.session.atomic import atomic_write
-from bssrdf.transport.engine import MonteCarloMedium, simulate
+from bssrdf.transport.engine import MIN_BATCHES, MonteCarloMedium, simulate
 from bssrdf.transport.materials import CHANNELS, load_materials
 
 Floats = NDArray[np.float64]
@@ -67,10 +67,14 @@ class TrialLight:
     total: float
     total_se: float
     photons: int
+    chosen: slice | None = None
+    """The annuli to use, where more light than this says which are good."""
 
     @property
     def used(self) -> slice:
         """The annuli from FIRST_MFP on, up to the first that is fainter than FAINTEST or that few photons reached."""
+        if self.chosen is not None:
+            return self.chosen
         near = int(np.searchsorted(edges_mm(self.cell), NEAR_MM)) - 1
         first = self.rd.size - N_RADII
         good = (self.rd >= FAINTEST * self.rd[near]) & (self.rd_se < NOISIEST * self.rd)
@@ -113,6 +117,28 @@ def more(cell: Cell, so_far: TrialLight | None, photons: int, seed: int) -> Tria
     )
     new = TrialLight(cell, *tally.rd(), *tally.total_r(), tally.n_photons)
     return new if so_far is None else _together(so_far, new)
+
+
+def batches(cell: Cell, n: int, photons: int, seed: int) -> list[TrialLight]:
+    """`n` independent lights of the cell, `photons` walked for each: a trial on one of its own shares no noise.
+
+    Their errors are the spread of all of them, and so are the annuli to use: a light's own noise chooses nothing.
+    """
+    tally = simulate(
+        MonteCarloMedium.reduced(cell.sigma_a, cell.sigma_sp, 0.0, cell.eta),
+        r_edges_mm=edges_mm(cell),
+        n_photons=photons * max(n, MIN_BATCHES),
+        seed=seed,
+        n_batches=max(n, MIN_BATCHES),
+    )
+    whole = TrialLight(cell, *tally.rd(), *tally.total_r(), tally.n_photons)
+    each = np.sqrt(len(tally.scores))
+    rd = tally.scores[:, 0, :, :-1].sum((1, 3)) / tally.area_mm2
+    total = tally.scores[:, 0].sum((1, 2, 3))
+    return [
+        TrialLight(cell, rd[at], each * whole.rd_se, float(total[at]), each * whole.total_se, photons, whole.used)
+        for at in range(n)
+    ]
 
 
 def _together(a: TrialLight, b: TrialLight) -> TrialLight:

@@ -69,15 +69,17 @@ class SeenLight:
         return float(self.beyond[0] + (0.0 if self.line_beyond is None else self.line_beyond[0]))
 
 
-def seen_light(medium: SampleMedium, view_angle_deg: float, *, photons: int, seed: int) -> SeenLight:
+def seen_light(
+    medium: SampleMedium, view_angle_deg: float, *, photons: int, seed: int, anew: bool = False
+) -> SeenLight:
     """The light of a half space lit at normal incidence, seen under `view_angle_deg`.
 
     Taken from the light that ships with the package where it has this medium and angle (`make_light`), else walked
     with that many photons and kept in the user's cache. Only the reduced albedo shapes the light: walks are made in
-    mean free paths 1/σt′, which media of one albedo share.
+    mean free paths 1/σt′, which media of one albedo share. `anew` walks where the light ships, too: by seed then.
     """
     unit = unit_medium(medium)
-    rows = _shipped().get(light_key(unit, view_angle_deg))
+    rows = None if anew else _shipped().get(light_key(unit, view_angle_deg))
     if rows is None:
         rows = _cached(unit, view_angle_deg, photons, seed)
     return SeenLight(r_edges_mfp() / (medium.sigma_a + medium.sigma_sp), rows[0], rows[2:, :-1], rows[1])
