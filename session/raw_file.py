@@ -41,6 +41,8 @@ def read_raw(path: Path, *, pixels: bool = True) -> RawFrame:
         check_extent(path)
     try:
         with rawpy.imread(str(path)) as raw:
+            if tags and not pixels:
+                return RawFrame(np.empty((0, 0), np.uint16), _quick_card(raw, tags), utc=time_of_tags(tags))
             return _raw_frame(path, raw, tags, pixels)
     except (rawpy.LibRawError, rawpy.NotSupportedError, OSError, ValueError, IndexError, MemoryError) as error:
         reason = error.args[0] if error.args else error
@@ -68,6 +70,19 @@ def _is_for_tiff(tags: Mapping[str, Any]) -> bool:
     return bool(planes or (integers and tags.get("Compression") in _NOT_BY_LIBRAW))
 
 
+def _quick_card(raw: Any, tags: Mapping[str, Any]) -> Card:
+    """What tells without decoding the pixels, as LibRaw does for all else that it says: of DNG all that matters."""
+    card, sizes = card_of_tags(tags), raw.sizes
+    card = replace(card, width_px=sizes.width, height_px=sizes.height)
+    pattern, white = bytes(tags.get("CFAPattern") or b""), tags.get("WhiteLevel")
+    if "DNGVersion" not in tags or len(pattern) != 4 or not isinstance(white, int):
+        return card
+    top, left = np.ravel(tags.get("ActiveArea", (0, 0)))[:2].astype(int)
+    shift = (top - sizes.top_margin, left - sizes.left_margin)
+    corner = np.roll(np.array(["RGBCMYW"[min(each, 6)] for each in pattern]).reshape(2, 2), shift, (0, 1))
+    return replace(card, layout="".join(corner.ravel()), white=(float(white),), bits=white.bit_length())
+
+
 def _raw_frame(path: Path, raw: Any, tags: Mapping[str, Any], pixels: bool) -> RawFrame:
     """Everything copied out: rawpy's own arrays are gone with its file."""
     layout, black = _mosaic(path, raw)
@@ -85,7 +100,7 @@ def _raw_frame(path: Path, raw: Any, tags: Mapping[str, Any], pixels: bool) -> R
         height_px=sizes.height,
     )
     data: NDArray[Any] = raw.raw_image_visible.copy() if pixels else np.empty((0, 0), np.uint16)
-    if pixels:
+    if pixels and path.suffix.lower() not in _PLAIN_TIFF:
         _check_end(path, data, float(np.min(black)))
     return RawFrame(
         data,
@@ -107,7 +122,8 @@ def _mosaic(path: Path, raw: Any) -> tuple[str, tuple[float, ...]]:
         return "mono", (float(black[0]),)
     if raw.raw_pattern.shape != (2, 2):
         raise InputError(f"{path}: {pattern_refusal(raw.raw_pattern.shape)}")
-    corner = raw.raw_colors_visible[:2, :2].copy()
+    top, left = raw.sizes.top_margin, raw.sizes.left_margin
+    corner = np.array([[raw.raw_color(top + row, left + column) for column in (0, 1)] for row in (0, 1)])
     levels = tuple(float(level) for level in black[corner].ravel())
     return "".join(chr(raw.color_desc[i]) for i in corner.ravel()), levels[:1] if len(set(levels)) == 1 else levels
 
@@ -115,7 +131,7 @@ def _mosaic(path: Path, raw: Any) -> tuple[str, tuple[float, ...]]:
 def _check_end(path: Path, data: NDArray[Any], black: float) -> None:
     """InputError where the last rows hold one number that no sensor reads: what a decoder leaves of a cut file."""
     last = data[-2:]
-    if last.size and black > 0 and (last == last.flat[0]).all() and last.flat[0] < black:
+    if last.size and (last == last.flat[0]).all() and (last.flat[0] < black or last.flat[0] == 0):
         raise InputError(f"{path}: is cut short: its last rows are empty; copy or take the file again")
 
 

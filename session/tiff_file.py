@@ -197,6 +197,9 @@ def _pixels(path: Path, page: Any) -> NDArray[Any]:
 def _decoded(path: Path, page: Any) -> NDArray[Any]:
     from bssrdf.session.oiio_file import read_subimage
 
+    if page.is_memmappable:  # asarray would go strip by strip, at ten times the cost
+        stored = page.dtype.newbyteorder(page.parent.byteorder)
+        return np.fromfile(path, stored, page.size, offset=page.dataoffsets[0]).reshape(page.shape)
     try:
         return np.asarray(page.asarray())
     except ValueError as error:

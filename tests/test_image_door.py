@@ -363,9 +363,9 @@ def test_raw_whose_last_rows_no_sensor_could_have_read_is_cut_short(tmp_path: Pa
     cut = np.tile(DN + np.uint16(600), (4, 4))
     cut[40:] = 0
     tags = [*DNG, *CFA, (50714, "H", 1, 512, True)]
-    tiff(cut, photometric=32803, extratags=tags)(tmp_path / "a.dng")
+    tiff(cut, photometric=32803, extratags=tags)(tmp_path / "a.rw2")
     with pytest.raises(InputError, match="cut short: its last rows are empty"):
-        read_frame_file(tmp_path / "a.dng")
+        read_frame_file(tmp_path / "a.rw2")
 
 
 @pytest.mark.parametrize("name", ["a.tif", "a.dng"])

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from bssrdf.errors import InputError
 from bssrdf.session.fit_json import read_fit
-from bssrdf.session.frame_files import read_frame_file, read_linear_image
+from bssrdf.session.frame_files import read_card, read_frame_file, read_linear_image
 from bssrdf.session.frames_csv import read_frames
 from bssrdf.session.hdr_exr import read_hdr_exr, write_hdr_exr
 from bssrdf.session.session_toml import read_session, write_template
@@ -50,7 +50,7 @@ def test_dng_is_read_bit_exactly(tmp_path: Path, layout: str) -> None:
     frame = read_frame_file(tmp_path / "a.dng")
     assert frame.data.dtype == np.uint16
     np.testing.assert_array_equal(frame.data, DN)
-    assert frame.layout == layout
+    assert frame.layout == layout == read_card(tmp_path / "a.dng").card.layout
     np.testing.assert_array_equal(frame.black, [[512, 513], [514, 515]])
     assert (frame.white, frame.exposure_s, frame.card.camera) == (16383.0, 0.004, "Model 1")
 
@@ -61,6 +61,8 @@ def test_dng_layout_is_that_of_the_visible_area(tmp_path: Path) -> None:
     frame = read_frame_file(tmp_path / "a.dng")
     np.testing.assert_array_equal(frame.data, DN[2:41, 2:61])
     assert frame.layout == "BGGR"
+    card = read_card(tmp_path / "a.dng").card
+    assert (card.layout, card.width_px, card.height_px) == ("BGGR", 59, 39)
 
 
 def test_raw_of_a_mono_camera(tmp_path: Path) -> None:
