@@ -6,7 +6,7 @@
 
 #define DEPTH 8
 
-static const char texts[][40] PROGMEM = {
+static const char texts[][44] PROGMEM = {
     [NO_ERROR] = "0,\"No error\"",
     [INVALID_CHARACTER] = "-101,\"Invalid character\"",
     [DATA_TYPE] = "-104,\"Data type error\"",

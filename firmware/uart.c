@@ -14,7 +14,8 @@
 
 static volatile uint8_t ring[RING];
 static volatile uint8_t head, tail;
-static uint8_t dropping; /* bytes were lost: drop the rest of the line, too */
+static bool dropping; /* bytes were lost: drop the rest of the line, too */
+static bool ended;    /* that line has come to its end, for which there was no room yet */
 
 void uart_init(void) {
     UCSR0A = USE_2X ? _BV(U2X0) : 0;
@@ -38,17 +39,20 @@ ISR(USART_RX_vect) {
         tick_heard();
     if (status & _BV(FE0))
         c = GARBAGE;
+    if (dropping && ended && room() > 2) {
+        store('\n');
+        dropping = false;
+    }
     if (dropping) {
-        if (c != '\n' || room() < 2)
-            return;
-        dropping = 0;
+        ended = c == '\n';
     } else if (room() < 2 || (status & _BV(DOR0))) {
         if (room())
             store(LOST);
-        dropping = 1;
-        return;
+        dropping = true;
+        ended = c == '\n';
+    } else {
+        store(c == LOST ? GARBAGE : c);
     }
-    store(c == LOST ? GARBAGE : c);
 }
 
 bool uart_empty(void) { return head == tail; }

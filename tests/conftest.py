@@ -13,6 +13,7 @@ os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.5")
 
 import jax
 import pytest
+from simulated_chip import Chip, built
 
 SHARED = Path(__file__).resolve().parents[2] / "shared" / "data"
 
@@ -48,3 +49,17 @@ def renderer() -> None:
         use_variant()
     except BssrdfError as error:
         pytest.skip(str(error))
+
+
+@pytest.fixture(scope="session")
+def firmware(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The controller's firmware and the program that simulates its chip, built."""
+    return built(tmp_path_factory.mktemp("firmware"))
+
+
+@pytest.fixture
+def chip(firmware: Path) -> Iterator[Chip]:
+    """A board that was told once that its output is TTL."""
+    one = Chip(firmware)
+    yield one
+    one.release()

@@ -22,6 +22,7 @@
 #include <unistd.h>
 
 #include <avr_eeprom.h>
+#include <avr_extint.h>
 #include <avr_ioport.h>
 #include <avr_uart.h>
 #include <sim_avr.h>
@@ -33,7 +34,7 @@
 enum { PORTB = 0x25, DDRB = 0x24, PORTD = 0x2b, MCUSR = 0x54, TCCR1A = 0x80, TCCR1C = 0x82, TCCR2A = 0xb0, OCR2B = 0xb4 };
 enum { COMPA_VECTOR = 11, COMPB_VECTOR = 12 };
 #define CLOCK_HZ 16000000
-#define BYTE_CYCLES 2778 /* ten bits at 57600 baud */
+#define BYTE_CYCLES 3080 /* eleven bits of 35 * 8 cycles: simavr counts a parity bit that is not sent, and drops faster bytes */
 #define MANY 65536
 
 static avr_t *avr;
@@ -72,11 +73,10 @@ static avr_cycle_count_t blade_edge(avr_t *chip, avr_cycle_count_t when, void *o
     return 0;
 }
 
-/* The blade passes the beam after its lag, and bounces back twice. Each edge is a timer of its own: simavr tells
-   timers apart by function and parameter, so the parameters differ. */
-static const double bounces[] = {0.0, 0.2, 0.35, 0.6, 1.0};
-
-static avr_cycle_count_t (*const edges[5])(avr_t *, avr_cycle_count_t, void *);
+/* The blade passes the beam after its lag, and bounces back twice; it closes faster than it opens, by its spring.
+   Each edge is a timer of its own, which simavr tells apart by their functions. */
+static const double bounces[2][5] = {{0.0, 0.1, 0.3, 0.4, 0.7}, {0.0, 0.2, 0.35, 0.6, 1.0}};
+static const double lags[2] = {0.75, 1.0};
 
 static avr_cycle_count_t edge_0(avr_t *a, avr_cycle_count_t w, void *on) { return blade_edge(a, w, on); }
 static avr_cycle_count_t edge_1(avr_t *a, avr_cycle_count_t w, void *on) { return blade_edge(a, w, on); }
@@ -87,7 +87,7 @@ static avr_cycle_count_t (*const edges[5])(avr_t *, avr_cycle_count_t, void *) =
 
 static void move_blade(bool open) {
     for (int i = 0; i < 5; i++)
-        avr_cycle_timer_register(avr, blade_lag + (uint64_t)(bounces[i] * blade_bounce) + 1, edges[i],
+        avr_cycle_timer_register(avr, lags[open] * blade_lag + bounces[open][i] * blade_bounce + 1, edges[i],
                                  (open == (i % 2 == 0)) ? avr : NULL);
 }
 
@@ -180,8 +180,10 @@ static void was_reset(void) {
     if (hung_code)
         memcpy(avr->flash + hung_at, &hung_code, 2);
     hung_code = 0;
-    drive('D', 2, interlock_open);
-    drive('B', 0, light_on);
+    for (int again = 1; again >= 0; again--) { /* twice, or simavr takes it for nothing new */
+        drive('D', 2, interlock_open ^ again);
+        drive('B', 0, light_on ^ again);
+    }
     say("reset", avr->data[MCUSR]);
 }
 
@@ -238,10 +240,10 @@ static void eeprom(int offset, const char *hex) {
 
 static void obey(const char *line) {
     static char hex[2 * MANY];
-    static uint8_t bytes[MANY];
     unsigned long long a = 0, b = 0;
     *hex = '\0';
     if (sscanf(line, "send %131071s", hex) == 1) {
+        static uint8_t bytes[MANY];
         int n = bytes_of(hex, bytes);
         for (int i = 0; i < n; i++)
             come_in(bytes[i]);
@@ -297,6 +299,8 @@ static void power_on(const char *elf) {
     avr_irq_register_notify(avr_get_interrupt_irq(avr, COMPA_VECTOR), matched, NULL);
     avr_irq_register_notify(avr_get_interrupt_irq(avr, COMPB_VECTOR), matched, avr);
     avr_register_io_write(avr, TCCR1C, strobed, NULL);
+    for (int line = 0; line < 2; line++)
+        avr_extint_set_strict_lvl_trig(avr, line, 0); /* or it polls each cycle of a low pin, in vain */
     drive('D', 2, false);
     drive('B', 0, false);
 }

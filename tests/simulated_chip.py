@@ -1,0 +1,116 @@
+"""The controller's firmware in simavr, a process of its own: time stands still until a test lets it run."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+
+FIRMWARE = Path(__file__).resolve().parents[1] / "firmware"
+CYCLES_PER_MS = 16_000
+TTL_KEPT = ["SHUT:TYPE TTL"]
+"""What a board is told once, when it is new."""
+
+
+def built(folder: Path) -> Path:
+    """The folder with firmware and simulated chip, built; the test is skipped where the tools for it are missing."""
+    header = Path("/usr/include/simavr/sim_avr.h")
+    missing = [name for name in ("avr-gcc", "cc", "make") if not shutil.which(name)]
+    missing += [] if header.exists() else ["libsimavr-dev"]
+    if missing:
+        pytest.skip(f"needs {', '.join(missing)} (.ci/apt installs them on Debian and Ubuntu)")
+    words = ["make", "-C", str(FIRMWARE), f"OUT={folder}", "simulator"]
+    done = subprocess.run(words, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert "warning" not in done.stderr, done.stderr
+    return folder
+
+
+class Chip:
+    """One chip; `edges` has what its pins did, as (cycle, level), in the order of time."""
+
+    def __init__(self, folder: Path, *, set_up: list[str] | None = None) -> None:
+        words = [folder / "chip", folder / "controller.elf"]
+        self._process = subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+        self.edges: dict[str, list[tuple[int, int]]] = {}
+        self.said = b""
+        self.cycle = 0
+        self.run_ms(100)
+        for command in set_up if set_up is not None else TTL_KEPT:
+            self.send(command)
+        self.errors()
+
+    def tell(self, line: str) -> None:
+        """A line to the simulator."""
+        assert self._process.stdin is not None
+        self._process.stdin.write(line + "\n")
+        self._process.stdin.flush()
+
+    def run_ms(self, ms: float) -> None:
+        self.tell(f"run {round(ms * CYCLES_PER_MS)}")
+        self._until("at")
+
+    def write(self, data: bytes) -> None:
+        """Bytes to the serial port, one behind another from now on."""
+        if data:
+            self.tell(f"send {data.hex()}")
+
+    def send(self, command: str, ms: float = 100.0) -> None:
+        """A command, and time for it: one that is kept in EEPROM takes tens of milliseconds."""
+        self.write(command.encode() + b"\n")
+        self.run_ms(ms)
+
+    def ask(self, question: str) -> str:
+        self.said = b""
+        self.send(question, 20.0)
+        return self.said.decode("ascii").removesuffix("\n")
+
+    def errors(self) -> list[str]:
+        """The queue, emptied."""
+        found = []
+        while not (error := self.ask("SYST:ERR?")).startswith("0,"):
+            found.append(error)
+        return found
+
+    def codes(self) -> list[int]:
+        return [int(error.split(",")[0]) for error in self.errors()]
+
+    def level(self, pin: str) -> int:
+        return self.edges[pin][-1][1]
+
+    def forget_edges(self) -> None:
+        self.edges = {pin: edges[-1:] for pin, edges in self.edges.items()}
+
+    def pulses_us(self, pin: str) -> list[float]:
+        """Lengths of what the pin was high for since `forget_edges`."""
+        edges = self.edges[pin]
+        return [(end - start) / 16 for (start, high), (end, _) in zip(edges, edges[1:], strict=False) if high]
+
+    def eeprom(self) -> bytes:
+        self.tell("eeprom 0")
+        return bytes.fromhex(self._until("eeprom")[0])
+
+    def reset(self, cause: int = 1) -> None:
+        """Reset with what MCUSR says of its cause: power 1, reset pin 2, brown-out 4."""
+        self.tell(f"reset {cause}")
+        self.run_ms(100)
+
+    def release(self) -> None:
+        self._process.kill()
+        self._process.communicate()
+
+    def _until(self, last: str) -> list[str]:
+        assert self._process.stdout is not None
+        for line in self._process.stdout:
+            word, *rest = line.split()
+            if word == "out":
+                self.said += bytes.fromhex(rest[0])
+            elif word not in ("at", "eeprom"):
+                self.edges.setdefault(word, []).append((int(rest[1]), int(rest[0])))
+            if word in ("at", "out"):
+                self.cycle = int(rest[-1])
+            if word == last:
+                return rest
+        raise AssertionError("the simulated chip ended")
