@@ -9,6 +9,7 @@
 #include <avr/wdt.h>
 #include <util/atomic.h>
 
+#include "beam.h"
 #include "board.h"
 #include "settings.h"
 #include "tick.h"
@@ -28,7 +29,7 @@
 
 static const struct {
     uint32_t shortest_us;
-    uint16_t closing_ticks; /* until the blade is surely shut */
+    uint16_t settling_ticks; /* until the blade surely rests */
 } types[N_OUTPUTS] = {
     [TTL] = {100, 20 * TICKS_PER_MS},            /* drivers of fast shutters close in 3 to 15 ms */
     [SOLENOID] = {20000, 50 * TICKS_PER_MS},     /* 12 ms lag and 5 ms bounce, measured on small ones, and room */
@@ -39,7 +40,7 @@ static enum { CLOSED, OPENING, OPEN } volatile state;
 static volatile bool timed;
 static volatile uint32_t remaining;           /* counts from the coming match to the closing */
 static volatile uint32_t opened_at, closed_at; /* the output's edges */
-static volatile uint16_t closing;             /* ticks until the blade is surely shut */
+static volatile uint16_t settling;            /* ticks until the blade surely rests */
 static volatile uint16_t turns, last_turn;    /* upper half of the time, and its lower half when last looked at */
 static volatile uint16_t counted;             /* turns since the last opening */
 static volatile bool seen;                    /* light, now */
@@ -79,8 +80,9 @@ static void servo_pulse(void) {
 
 static bool servo_ready(void) { return settings.output != SERVO_ARM || frame >= SERVO_APART; }
 
-/* After an edge of the output, let the servo follow. */
-static void servo_edge(void) {
+/* After an edge of the output the blade moves; a servo is told to at once. */
+static void edge(void) {
+    settling = types[settings.output].settling_ticks;
     if (settings.output != SERVO_ARM)
         return;
     servo_late = !servo_ready();
@@ -127,8 +129,7 @@ static void closed(uint32_t at) {
     output_a(0);
     state = CLOSED;
     closed_at = at;
-    closing = types[settings.output].closing_ticks;
-    servo_edge();
+    edge();
 }
 
 ISR(TIMER1_COMPA_vect) {
@@ -137,7 +138,7 @@ ISR(TIMER1_COMPA_vect) {
     if (state == OPENING) {
         opened_at = whole(OCR1A);
         state = OPEN;
-        servo_edge();
+        edge();
         if (timed)
             step();
     } else if (state == OPEN && timed) {
@@ -206,7 +207,7 @@ static enum error try_open(uint32_t counts) {
         return TRIPPED;
     if (state != CLOSED)
         return prolong(counts) ? NO_ERROR : CLOSING;
-    if (closing)
+    if (settling)
         return CLOSING;
     begin(counts);
     return NO_ERROR;
@@ -233,8 +234,8 @@ enum error shutter_open(uint32_t us) {
 
 ISR(TIMER1_CAPT_vect) {
     /* A capture that no change of level goes with is a spike, or was made by the switch of the edge. */
-    for (uint16_t edge = ICR1; light() != seen; edge = TCNT1) {
-        uint32_t at = whole(edge);
+    for (uint16_t low = ICR1; light() != seen; low = TCNT1) {
+        uint32_t at = whole(low);
         if (seen)
             seen_for += at - seen_since;
         else
@@ -246,24 +247,31 @@ ISR(TIMER1_CAPT_vect) {
 
 void shutter_tick(void) {
     now();
-    if (closing)
-        closing--;
+    if (settling)
+        settling--;
     if (settings.output == SERVO_ARM)
         servo_tick();
 }
 
 bool shutter_is_moving(void) {
     bool moving;
-    ATOMIC_BLOCK(ATOMIC_RESTORESTATE) { moving = state != CLOSED || closing; }
+    ATOMIC_BLOCK(ATOMIC_RESTORESTATE) { moving = state != CLOSED || settling; }
     return moving;
+}
+
+static bool settles(void) {
+    bool still;
+    ATOMIC_BLOCK(ATOMIC_RESTORESTATE) { still = settling; }
+    return still;
 }
 
 bool shutter_is_open(void) {
     if (!settings.sensor)
         return state != CLOSED;
-    while (state == CLOSED && seen && shutter_is_moving())
+    while (settles() && seen != (state != CLOSED))
         wdt_reset();
-    return state != CLOSED || seen;
+    bool dark_lamp = !beam_is_on() || !beam_level(); /* or one of which this board knows nothing */
+    return seen || (state != CLOSED && dark_lamp);
 }
 
 uint32_t shutter_shortest_us(void) { return types[settings.output].shortest_us; }

@@ -17,7 +17,7 @@ enum error shutter_open(uint32_t us);
 /* Close; whether it was open. Any context. */
 bool shutter_close(void);
 
-/* Whether the blade is open: as driven, or as the photodiode sees it once the blade has had its time. */
+/* Whether the blade is open: as the photodiode sees it once the blade has had its time, else as it is driven. */
 bool shutter_is_open(void);
 
 /* Whether the last opening goes on, or its blade may still move. */

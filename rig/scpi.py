@@ -15,6 +15,10 @@ from bssrdf.rig.serial_line import BadReply, SerialLine, Wire, open_wire
 BAUD = 57600
 _TRIES = 3
 _NO_ERROR = '0,"No error"'
+_CLOSING_S = 1.0
+"""Longest time for which a controller refuses to open because the blade still closes; a servo's is 0.25 s."""
+_LONGEST_PULSE_S = 60.0
+"""The controller's longest pulse; what may last longer is left to its watchdog."""
 
 
 class ScpiController:
@@ -57,11 +61,20 @@ class ScpiController:
         """A verb; sent again where the controller did not understand it."""
         error = ""
         for _ in range(_TRIES):
-            self._wire().send(command.encode() + b"\n")
-            error = self.query("SYST:ERR?", lambda reply: '"' in reply)
+            error = self._answer_to(command)
             if error == _NO_ERROR:
                 return
         raise DeviceError(f"{self.name}: {command!r} was refused with {error!r}; check firmware and interlock")
+
+    def _answer_to(self, command: str) -> str:
+        """What the error queue says to a verb, once the blade no longer closes."""
+        deadline = time.monotonic() + _CLOSING_S
+        while True:
+            self._wire().send(command.encode() + b"\n")
+            error = self.query("SYST:ERR?", lambda reply: '"' in reply)
+            if "closing" not in error or time.monotonic() > deadline:
+                return error
+            time.sleep(0.01)
 
     def release(self) -> None:
         if self._line is not None:
@@ -112,7 +125,8 @@ class ScpiShutter:
         return identity
 
     def open_for(self, longest_s: float) -> None:
-        self._controller.command(f"SHUT:PULS {round(longest_s * 1e6)}")
+        timed = longest_s <= _LONGEST_PULSE_S
+        self._controller.command(f"SHUT:PULS {round(longest_s * 1e6)}" if timed else "SHUT:STAT OPEN")
         if self.state() != "open":
             tripped = self._controller.query("SYST:INT?", lambda reply: reply in ("0", "1")) == "1"
             why = "the interlock is tripped" if tripped else "it stays closed"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 import subprocess
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
@@ -29,14 +30,14 @@ def built(folder: Path) -> Path:
 
 
 class Chip:
-    """One chip; `edges` has what its pins did, as (cycle, level), in the order of time."""
+    """One chip; `edges` has what its pins did, as (cycle, level); `heard` is when its last answer ended."""
 
     def __init__(self, folder: Path, *, set_up: list[str] | None = None) -> None:
         words = [folder / "chip", folder / "controller.elf"]
         self._process = subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
         self.edges: dict[str, list[tuple[int, int]]] = {}
         self.said = b""
-        self.cycle = 0
+        self.cycle = self.heard = 0
         self.run_ms(100)
         for command in set_up if set_up is not None else TTL_KEPT:
             self.send(command)
@@ -62,9 +63,9 @@ class Chip:
         self.write(command.encode() + b"\n")
         self.run_ms(ms)
 
-    def ask(self, question: str) -> str:
+    def ask(self, question: str, ms: float = 20.0) -> str:
         self.said = b""
-        self.send(question, 20.0)
+        self.send(question, ms)
         return self.said.decode("ascii").removesuffix("\n")
 
     def errors(self) -> list[str]:
@@ -86,7 +87,7 @@ class Chip:
     def pulses_us(self, pin: str) -> list[float]:
         """Lengths of what the pin was high for since `forget_edges`."""
         edges = self.edges[pin]
-        return [(end - start) / 16 for (start, high), (end, _) in zip(edges, edges[1:], strict=False) if high]
+        return [(end - start) / 16 for (start, high), (end, _) in pairwise(edges) if high]
 
     def eeprom(self) -> bytes:
         self.tell("eeprom 0")
@@ -107,10 +108,11 @@ class Chip:
             word, *rest = line.split()
             if word == "out":
                 self.said += bytes.fromhex(rest[0])
+                self.heard = int(rest[1])
             elif word not in ("at", "eeprom"):
                 self.edges.setdefault(word, []).append((int(rest[1]), int(rest[0])))
-            if word in ("at", "out"):
-                self.cycle = int(rest[-1])
+            if word == "at":
+                self.cycle = int(rest[0])
             if word == last:
                 return rest
         raise AssertionError("the simulated chip ended")

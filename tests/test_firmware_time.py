@@ -163,11 +163,29 @@ def test_a_blade_that_sticks_is_seen_by_the_photodiode(chip: Chip) -> None:
     assert chip.ask("SHUT:PULS:MEAS?") == "0,light"
     chip.tell("light 1")
     chip.send("SHUT:STAT OPEN")
-    chip.send("SHUT:STAT CLOS")
+    chip.write(b"SHUT:STAT CLOS\n")
+    assert chip.ask("SHUT:STAT?", 60) == "OPEN"
     assert chip.level("shutter") == 0
-    assert chip.ask("SHUT:STAT?") == "OPEN"
     chip.tell("light 0")
     assert chip.ask("SHUT:STAT?") == "CLOS"
+    chip.write(b"SHUT:STAT OPEN\n")
+    assert chip.ask("SHUT:STAT?", 60) == "OPEN"
+    chip.write(b"SHUT:STAT CLOS\n")
+    chip.send("BEAM:STAT ON")
+    chip.write(b"SHUT:STAT OPEN\n")
+    assert chip.ask("SHUT:STAT?", 60) == "CLOS"
+
+
+def test_asked_for_its_state_it_waits_for_the_blade(chip: Chip) -> None:
+    for command in ("SHUT:TYPE SOL", "SHUT:SENS ON", "BEAM:STAT ON"):
+        chip.send(command)
+    chip.tell(f"blade {12 * CYCLES_PER_MS} {5 * CYCLES_PER_MS}")
+    for command, answer, lag_ms in (("SHUT:STAT OPEN", "OPEN", 12), ("SHUT:STAT CLOS", "CLOS", 9)):
+        chip.write(command.encode() + b"\n")
+        sent = chip.cycle
+        assert chip.ask("SHUT:STAT?", 60) == answer
+        assert chip.edges["shutter"][-1][0] - sent < 4 * CYCLES_PER_MS
+        assert (chip.heard - chip.edges["shutter"][-1][0]) / CYCLES_PER_MS == pytest.approx(lag_ms + 0.5, abs=1)
 
 
 @pytest.mark.slow

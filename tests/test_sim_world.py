@@ -6,38 +6,15 @@ from typing import Any
 
 import numpy as np
 import pytest
+from near_world import NearWorld
 
 from bssrdf.rig.sim.light import SampleMedium, r_edges_mfp, seen_light, unit_medium
-from bssrdf.rig.sim.serial_devices import Sc10, Scpi, Uniblitz
+from bssrdf.rig.sim.scpi_device import Scpi
+from bssrdf.rig.sim.serial_devices import Sc10, Uniblitz
 from bssrdf.rig.sim.walked_light import walked
 from bssrdf.rig.sim.world import World
 from bssrdf.transport.discrete_ordinates import half_space
 from bssrdf.transport.exit_radiance import transmittance
-
-
-class NearWorld:
-    """The world in this process, at a time that the test sets."""
-
-    def __init__(self) -> None:
-        self.world, self.t = World(), 0.0
-
-    def now(self) -> float:
-        return self.t
-
-    def open(self, for_s: float | None = None) -> None:
-        self.world.open(self.t, None if for_s is None else self.t + for_s)
-
-    def close(self) -> None:
-        self.world.close(self.t)
-
-    def is_open(self) -> bool:
-        return self.world.is_open(self.t)
-
-    def beam(self, on: bool) -> None:
-        self.world.beam(self.t, on)
-
-    def status(self) -> dict[str, Any]:
-        return self.world.status(self.t)
 
 
 def said(device: Any, command: bytes) -> bytes:
@@ -123,6 +100,7 @@ def test_the_scpi_controller_queues_errors_and_its_watchdog_makes_the_bench_safe
     device.idle()
     assert not near.status()["open"]
     assert not near.status()["beam"]
+    assert b"-365" in said(device, b"SYST:ERR?\n")
     said(device, b"SHUT:FIRE\n")
     assert b"-113" in said(device, b"SYST:ERR?\n")
     assert said(device, b"SYST:ERR?\n") == b'0,"No error"\n'

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Protocol
 
+from bssrdf.rig.sim.scpi_device import Scpi
 from bssrdf.rig.sim.world_server import WorldClient
 
 
@@ -109,94 +110,6 @@ class Uniblitz:
 
     def idle(self) -> None:
         pass
-
-
-class Scpi:
-    """The project's controller: idempotent verbs, an error queue, a host watchdog."""
-
-    banner = b"bssrdf rig\n"
-
-    def __init__(self, world: WorldClient) -> None:
-        self._world = world
-        self._error = ""
-        self._watchdog_s = 0.0
-        self._last_byte = world.now()
-        self._pulse_s = 0.0
-        world.beam(False)
-
-    def take(self, incoming: bytes) -> tuple[bytes | None, bytes]:
-        command, end, rest = incoming.partition(b"\n")
-        if incoming:
-            self._last_byte = self._world.now()
-        return (command, rest) if end else (None, incoming)
-
-    def idle(self) -> None:
-        if self._watchdog_s and self._world.now() - self._last_byte > self._watchdog_s:
-            self._watchdog_s = 0.0
-            self._safe()
-
-    def execute(self, command: bytes) -> tuple[bytes, bytes]:
-        verb, _, value = command.decode("ascii", "replace").strip().partition(" ")
-        if verb.endswith("?"):
-            return b"", self._query(verb).encode()
-        self._error = self._command(verb, value) or self._error
-        return b"", b""
-
-    def _query(self, verb: str) -> str:
-        status = self._world.status()
-        answers = {
-            "*IDN?": "bssrdf,rig,0001,0.1.0",
-            "SHUT:STAT?": "OPEN" if status["open"] else "CLOS",
-            "SHUT:PULS:MEAS?": str(round(self._pulse_s * 1e6)),
-            "SYST:INT?": str(int(status["interlock"])),
-            "SYST:ERR?": self._error or '0,"No error"',
-        }
-        if verb not in answers:
-            self._error = '-113,"Undefined header"'
-            return ""
-        if verb == "SYST:ERR?":
-            self._error = ""
-        return answers[verb] + "\n"
-
-    def _command(self, verb: str, value: str) -> str:
-        """Carry out a verb; its error, or nothing."""
-        if verb in ("*RST", "*CLS"):
-            self._error = ""
-            if verb == "*RST":
-                self._safe()
-        elif (verb, value) == ("SHUT:STAT", "CLOS"):
-            self._world.close()
-        elif (verb, value) == ("SHUT:STAT", "OPEN"):
-            return self._open(None)
-        elif verb == "SHUT:PULS" and value.isdigit():
-            self._pulse_s = int(value) / 1e6
-            return self._open(self._pulse_s)
-        elif verb == "BEAM:STAT" and value in ("ON", "OFF"):
-            self._world.beam(value == "ON")
-        elif verb == "BEAM:LEV":
-            return "" if _is_share(value) else '-222,"Data out of range"'
-        elif verb == "SYST:WATC" and value.isdigit():
-            self._watchdog_s = int(value) / 1000
-        else:
-            return '-113,"Undefined header"'
-        return ""
-
-    def _open(self, for_s: float | None) -> str:
-        if self._world.status()["interlock"]:
-            return '-221,"Settings conflict; interlock"'
-        self._world.open(for_s)
-        return ""
-
-    def _safe(self) -> None:
-        self._world.close()
-        self._world.beam(False)
-
-
-def _is_share(value: str) -> bool:
-    try:
-        return 0 <= float(value) <= 1
-    except ValueError:
-        return False
 
 
 DEVICES: dict[str, type[Sc10] | type[Uniblitz] | type[Scpi]] = {"sc10": Sc10, "uniblitz": Uniblitz, "scpi": Scpi}
