@@ -172,6 +172,16 @@ static void come_in(uint8_t byte) {
     pumping = true;
 }
 
+/* The inputs as the world has them. */
+static void plug_in(void) {
+    for (int line = 0; line < 2; line++)
+        avr_extint_set_strict_lvl_trig(avr, line, 0); /* or simavr looks at a low pin in every cycle, in vain */
+    for (int again = 1; again >= 0; again--) {        /* twice, or it takes the level for nothing new */
+        drive('D', 2, interlock_open ^ again);
+        drive('B', 0, light_on ^ again);
+    }
+}
+
 /* What a reset does beyond simavr: latches fall, timers are gone, pins are as the world has them. */
 static void was_reset(void) {
     latch[0] = latch[1] = false;
@@ -180,10 +190,7 @@ static void was_reset(void) {
     if (hung_code)
         memcpy(avr->flash + hung_at, &hung_code, 2);
     hung_code = 0;
-    for (int again = 1; again >= 0; again--) { /* twice, or simavr takes it for nothing new */
-        drive('D', 2, interlock_open ^ again);
-        drive('B', 0, light_on ^ again);
-    }
+    plug_in();
     say("reset", avr->data[MCUSR]);
 }
 
@@ -299,10 +306,7 @@ static void power_on(const char *elf) {
     avr_irq_register_notify(avr_get_interrupt_irq(avr, COMPA_VECTOR), matched, NULL);
     avr_irq_register_notify(avr_get_interrupt_irq(avr, COMPB_VECTOR), matched, avr);
     avr_register_io_write(avr, TCCR1C, strobed, NULL);
-    for (int line = 0; line < 2; line++)
-        avr_extint_set_strict_lvl_trig(avr, line, 0); /* or it polls each cycle of a low pin, in vain */
-    drive('D', 2, false);
-    drive('B', 0, false);
+    plug_in();
 }
 
 static double now_s(void) {
@@ -343,8 +347,10 @@ static void listen(bool hung_up, bool readable) {
 }
 
 static void live(double speed) {
-    double start = now_s();
     char line[4096];
+    while (avr->cycle < CLOCK_HZ / 20) /* it has started when it is said to be ready */
+        step();
+    double start = now_s() - avr->cycle / speed / CLOCK_HZ;
     printf("ready %.9f\n", start);
     for (;;) {
         fflush(stdout);
@@ -361,7 +367,7 @@ static void live(double speed) {
             return;
         }
         listen(ports[1].revents & POLLHUP, ports[1].revents & POLLIN);
-        while (avr->cycle < (now_s() - start) * speed * CLOCK_HZ)
+        for (uint64_t end = (now_s() - start) * speed * CLOCK_HZ; avr->cycle < end;)
             step();
         if (ports[1].revents & POLLHUP)
             usleep(1000); /* poll returns at once from then on */

@@ -8,7 +8,7 @@ import shlex
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -40,8 +40,17 @@ class SimulatedBench:
     """The processes of one bench, in a folder of its own."""
 
     def __init__(
-        self, folder: Path, scene: Scene, *, shutter: str = "sc10", camera: str = "gphoto2", speed: float = 20.0
+        self,
+        folder: Path,
+        scene: Scene,
+        *,
+        shutter: str = "sc10",
+        camera: str = "gphoto2",
+        speed: float = 20.0,
+        controller: Sequence[str | Path] = (),
     ) -> None:
+        """`controller` is a program that plays the shutter in place of this package's, given link, world and speed."""
+        self._controller = controller
         self.folder, self.speed, self._shutter, self._camera = folder, speed, shutter, camera
         self._processes: dict[str, subprocess.Popen[str]] = {}
         self._socket = folder / "world"
@@ -78,6 +87,8 @@ class SimulatedBench:
         }
         module, arguments = processes[part]
         words = [sys.executable, "-m", f"bssrdf.rig.sim.{module}", *map(str, arguments)]
+        if part == "shutter" and self._controller:
+            words = [*map(str, self._controller), *map(str, arguments[1:])]
         process = subprocess.Popen(
             words, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, text=True, start_new_session=True
         )

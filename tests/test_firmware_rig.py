@@ -1,0 +1,212 @@
+"""The firmware in place of the simulated controller: beside it, under the driver, and on the bench."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from near_world import NearWorld
+from simulated_chip import Chip
+
+from bssrdf.bench.capture import PLAN, small_scene
+from bssrdf.errors import DeviceError
+from bssrdf.rig.capture import capture
+from bssrdf.rig.commands import rig_close, rig_status
+from bssrdf.rig.devices import devices_of
+from bssrdf.rig.rig_toml import read_rig
+from bssrdf.rig.scpi import ScpiBeam, ScpiController, ScpiShutter
+from bssrdf.rig.sim.launch import SimulatedBench
+from bssrdf.rig.sim.scpi_device import Scpi
+from bssrdf.session.atomic import sha256_of
+from bssrdf.session.frames_csv import read_frames
+
+BOTH = (Path(__file__).parent / "fixtures" / "controller_lines.txt").read_text(encoding="ascii").splitlines()
+"""Lines to both, with time for each; WAIT gives half a second more. What each answers, and every error, must agree."""
+LINE_S, WAIT_S = 0.1, 0.5
+
+
+def test_the_simulated_controller_answers_what_the_firmware_does(chip: Chip) -> None:
+    """And so it does with the interlock tripped, and when its queue overflows, and after bytes that are none."""
+    near = NearWorld()
+    device = Scpi(near)  # type: ignore[arg-type]
+
+    def simulated(line: bytes, seconds: float) -> str:
+        command, rest = device.take(line + b"\n")
+        assert (command, rest) == (line, b"")
+        _, reply = device.execute(command)
+        for _ in range(round(seconds / 0.005)):
+            near.t += 0.005
+            device.idle()
+        return reply.decode()
+
+    def both(line: bytes, seconds: float = LINE_S) -> tuple[str, str]:
+        chip.said = b""
+        chip.write(line + b"\n")
+        chip.run_ms(seconds * 1000)
+        return chip.said.decode(), simulated(line, seconds)
+
+    def agree(line: str | bytes, seconds: float = LINE_S) -> None:
+        line = line.encode() if isinstance(line, str) else line
+        said, expected = both(line, seconds)
+        assert said == expected, line
+        if b"ERR" not in line:
+            said, expected = both(b"SYST:ERR?")
+            assert said == expected, line
+
+    for line in BOTH:
+        if line == "WAIT":
+            chip.run_ms(1000 * WAIT_S)
+            for _ in range(100):
+                near.t += WAIT_S / 100
+                device.idle()
+        else:
+            agree(line, 0.01 if "CLOS" in line or "20000" in line else LINE_S)
+    for garbage in (b"\xff", b"SHUT:STAT OPEN\x00", b"x" * 48, b"x" * 49, b"SHUT:STAT\x80 OPEN", b"\x1b[A"):
+        agree(garbage)
+    near.world.arm(near.t, "shutter", "interlock")
+    chip.tell("interlock 1")
+    for line in ("SYST:INT?", "SHUT:PULS 1000", "SHUT:STAT OPEN", "SHUT:STAT?"):
+        agree(line)
+    near.world.clear(near.t)
+    chip.tell("interlock 0")
+    chip.run_ms(100)
+    agree("SYST:INT?")
+    agree("SHUT:STAT OPEN")
+    near.world.arm(near.t, "shutter", "interlock")
+    chip.tell("interlock 1")
+    agree("SHUT:STAT?")
+    for line in ("SHUT:PULS", *["NONSENSE"] * 9):
+        both(line.encode())
+    for _ in range(9):
+        agree("SYST:ERR?")
+
+
+@pytest.fixture
+def live(firmware: Path, tmp_path: Path) -> Iterator[tuple[str, subprocess.Popen[str]]]:
+    """The port of a board at the speed of the clock, and its simulator."""
+    port = tmp_path / "ttyACM0"
+    words = [firmware / "chip", firmware / "controller.elf", port, "1"]
+    with subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, bufsize=1) as process:
+        assert process.stdout is not None
+        assert any(line.startswith("ready") for line in process.stdout)
+        tell(process, "send " + b"SHUT:TYPE TTL\n".hex())
+        time.sleep(0.2)
+        yield str(port), process
+        process.kill()
+
+
+def tell(process: subprocess.Popen[str], line: str) -> None:
+    assert process.stdin is not None
+    process.stdin.write(line + "\n")
+
+
+def test_the_driver_speaks_with_the_firmware(live: tuple[str, subprocess.Popen[str]]) -> None:
+    port, process = live
+    controller = ScpiController(port, watchdog_s=5.0)
+    shutter, beam = ScpiShutter(controller), ScpiBeam(controller, level=0.5)
+    assert re.fullmatch(r"bssrdf,rig,\d{4},1\.0\.0\+\S+", shutter.connect().version)
+    assert shutter.state() == "closed"
+    beam.connect()
+    beam.on()
+    assert controller.query("BEAM:STAT?", str.isalpha) == "ON"
+    for longest_s in (4.05, 90.0):
+        shutter.open_for(longest_s)
+        assert shutter.state() == "open"
+        shutter.close()
+        shutter.close()
+        assert shutter.state() == "closed"
+    beam.off()
+    assert controller.query("BEAM:STAT?", str.isalpha) == "OFF"
+    tell(process, "interlock 1")
+    time.sleep(0.1)
+    with pytest.raises(DeviceError, match=r"'SHUT:PULS 1000000' was refused with '-221,\"Settings conflict; interlock"):
+        shutter.open_for(1.0)
+    assert shutter.state() == "closed"
+    tell(process, "interlock 0")
+    time.sleep(0.2)
+    shutter.open_for(30.0)
+    shutter.release()
+    again = ScpiShutter(ScpiController(port))
+    again.connect()
+    assert again.state() == "closed"
+    again.release()
+
+
+def test_the_driver_outlives_noise_on_the_line(live: tuple[str, subprocess.Popen[str]]) -> None:
+    port, process = live
+    shutter = ScpiShutter(ScpiController(port, timeout_s=0.3))
+    shutter.connect()
+    for garbage in (b"\xff", b"SHUT:", b"\x00" * 20, b"x" * 60, b"*IDN?\n"):
+        tell(process, f"send {garbage.hex()}")
+        time.sleep(0.05)
+        shutter.open_for(20.0)
+        tell(process, f"send {garbage.hex()}")
+        assert shutter.state() == "open"
+        shutter.close()
+    shutter.release()
+
+
+SPEED = 4.0
+"""Seconds of the bench in one of ours: slow enough for the simulated chip on a busy machine."""
+
+
+@pytest.fixture
+def chip_bench(firmware: Path, tmp_path: Path) -> Iterator[SimulatedBench]:
+    words = [sys.executable, Path(__file__).with_name("chip_on_bench.py"), firmware]
+    (tmp_path / "chip").mkdir()
+    bench = SimulatedBench(tmp_path / "chip", small_scene(), shutter="scpi", speed=SPEED, controller=words)
+    yield bench
+    bench.stop()
+
+
+def test_a_session_with_the_firmware_is_that_of_the_simulated_controller_frame_by_frame(
+    chip_bench: SimulatedBench, tmp_path: Path
+) -> None:
+    pytest.importorskip("gphoto2", reason="python-gphoto2 is not installed")
+    plan = tmp_path / "plan.toml"
+    plan.write_text(PLAN, encoding="utf-8")
+    capture(plan, chip_bench.rig_file, tmp_path / "with_chip")
+    assert not chip_bench.world.status()["open"]
+    assert not chip_bench.world.status()["beam"]
+    (tmp_path / "python").mkdir()
+    other = SimulatedBench(tmp_path / "python", small_scene(), shutter="scpi", speed=SPEED)
+    try:
+        capture(plan, other.rig_file, tmp_path / "without")
+    finally:
+        other.stop()
+    sessions = [tmp_path / "with_chip", tmp_path / "without"]
+    frames = [
+        [(frame.file, frame.kind, frame.exposure_s, sha256_of(session / frame.file)) for frame in read_frames(session)]
+        for session in sessions
+    ]
+    assert len(frames[0]) == 10
+    assert frames[0] == frames[1]
+
+
+def test_on_the_bench_the_firmware_closes_at_the_panic_button_and_when_the_host_is_killed(
+    chip_bench: SimulatedBench,
+) -> None:
+    shutter = devices_of(read_rig(chip_bench.rig_file)).shutter
+    shutter.connect()
+    shutter.open_for(60.0)
+    assert chip_bench.world.status()["open"]
+    assert any("closed" in line for line in rig_close(chip_bench.rig_file))
+    assert not chip_bench.world.status()["open"]
+    shutter.release()
+    assert "shutter is closed" in rig_status(chip_bench.rig_file)
+    code = "import sys, time; from pathlib import Path; from bssrdf.rig.devices import devices_of; "
+    code += "from bssrdf.rig.rig_toml import read_rig; s = devices_of(read_rig(Path(sys.argv[1]))).shutter; "
+    code += "s.connect(); s.open_for(60.0); print('open', flush=True); time.sleep(60)"
+    words = [sys.executable, "-c", code, str(chip_bench.rig_file)]
+    with subprocess.Popen(words, stdout=subprocess.PIPE, text=True) as host:
+        assert host.stdout is not None
+        assert host.stdout.readline() == "open\n"
+        assert chip_bench.world.status()["open"]
+        host.kill()
+    time.sleep(2.5)
+    assert not chip_bench.world.status()["open"]
