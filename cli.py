@@ -63,15 +63,15 @@ RIG_FILE = click.option("--rig", type=FILE, help="What the bench is made of; rig
 
 @cli.group()
 def rig() -> None:
-    """What is connected, and the panic button."""
+    """What is connected, how exact its pulses are, and the panic button."""
 
 
 @rig.command("list")
 def rig_list() -> None:
-    """Serial ports and cameras that are connected."""
+    """Serial ports and cameras that are connected; a board is reset by asking, and says whether it is a controller."""
     from bssrdf.rig import commands
 
-    click.echo("\n".join(commands.rig_list()))
+    click.echo("\n".join(commands.rig_list(listen=True)))
 
 
 @rig.command("status")
@@ -81,6 +81,17 @@ def rig_status(rig: Path | None) -> None:
     from bssrdf.rig import commands
 
     click.echo("\n".join(commands.rig_status(rig)))
+
+
+@rig.command("test")
+@RIG_FILE
+@click.option("--set-clock", is_flag=True, help="Measure the controller's clock for a minute and keep its error there.")
+def rig_test(rig: Path | None, set_clock: bool) -> None:
+    """Open and close the project's controller for known times and show what it read back; the beam is on meanwhile."""
+    from bssrdf.rig import commands
+
+    for line in commands.rig_test(rig, set_clock=set_clock):
+        click.echo(line)
 
 
 @rig.command("close")

@@ -11,8 +11,10 @@ from bssrdf.errors import BssrdfError, DeviceError, UsageError
 from bssrdf.rig.capture import Captured, Report, capture
 from bssrdf.rig.devices import devices_of, ports_of
 from bssrdf.rig.drivers import PARTS, names
+from bssrdf.rig.find import described
 from bssrdf.rig.locks import lock_ports
 from bssrdf.rig.plan_toml import Plan, read_plan
+from bssrdf.rig.pulse_test import pulse_test
 from bssrdf.rig.rig_toml import Rig, read_rig
 from bssrdf.rig.steps import Step, snapped, steps_of
 
@@ -45,11 +47,15 @@ def dry_run(plan: Path, session: Path, *, rig: Path | None = None, simulate: boo
         return _outlook(read_plan(plan), read_rig(rig_file), session)
 
 
-def rig_list() -> list[str]:
-    """Serial ports and cameras that are connected, and the drivers that are installed, one a line."""
+def rig_list(*, listen: bool = False) -> list[str]:
+    """Serial ports and cameras that are connected, and the drivers that are installed, one a line.
+
+    `listen` opens the ports of boards, and names the controllers among them.
+    """
     from serial.tools import list_ports
 
-    lines = [f"{port.device}: {port.description}" for port in sorted(list_ports.comports())]
+    ports = sorted(list_ports.comports())
+    lines = described(ports) if listen else [f"{port.device}: {port.description}" for port in ports]
     lines += cameras()
     lines = lines or ["no serial port and no camera is connected"]
     return [*lines, *(f"drivers for [{part}]: {', '.join(names(part))}" for part in PARTS)]
@@ -80,6 +86,11 @@ def rig_status(rig: Path | None = None) -> list[str]:
             return [*lines, f"if this program is killed: {_after_kill(devices.shutter.after_kill)}"]
         finally:
             devices.release()
+
+
+def rig_test(rig: Path | None = None, *, set_clock: bool = False) -> Iterator[str]:
+    """Pulses of the project's controller as it measures them, and its clock, line by line."""
+    yield from pulse_test(rig or _DEFAULT_RIG, set_clock=set_clock)
 
 
 def rig_close(rig: Path | None = None) -> list[str]:

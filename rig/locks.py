@@ -20,7 +20,8 @@ def lock_ports(ports: set[str]) -> Iterator[None]:
     folder = platformdirs.user_cache_path("bssrdf", ensure_exists=True)
     with ExitStack() as held:
         for port in sorted(ports):
-            name = hashlib.sha256(port.encode()).hexdigest()[:16]
+            one = os.path.realpath(port) if Path(port).exists() else port  # a port has several names
+            name = hashlib.sha256(one.encode()).hexdigest()[:16]
             holder = held.enter_context(_lock(folder / f"port-{name}.lock"))
             if holder:
                 raise DeviceError(f"{port}: in use by process {holder}; let it end, or end it")

@@ -17,6 +17,9 @@ _TRIES = 3
 _NO_ERROR = '0,"No error"'
 _CLOSING_S = 1.0
 """Longest time for which a controller refuses to open because the blade still closes; a servo's is 0.25 s."""
+_MEASURED_S = 2.0
+"""Longest time from a pulse's end to its read-back: the blade's, and the line's."""
+_LOOK_S = 0.02
 _LONGEST_PULSE_S = 60.0
 """The controller's longest pulse; what may last longer is left to its watchdog."""
 
@@ -140,6 +143,32 @@ class ScpiShutter:
     def state(self) -> ShutterState:
         reply = self._controller.query("SHUT:STAT?", lambda reply: reply in ("OPEN", "CLOS"))
         return "open" if reply == "OPEN" else "closed"
+
+    def measured_pulse(self, us: int) -> tuple[int, str]:
+        """Length of one pulse as read back [µs], and of what: "light", or "commanded" without a photodiode."""
+        self._controller.command(f"SHUT:PULS {us}")
+        deadline = time.monotonic() + us / 1e6 + _MEASURED_S
+        while True:
+            length, _, source = self._controller.query(
+                "SHUT:PULS:MEAS?", lambda reply: reply.count(",") == 1
+            ).partition(",")
+            if source != "running" and length.isdigit():
+                return int(length), source
+            if time.monotonic() > deadline:
+                raise DeviceError(f"{self.name}: a pulse of {us} µs has not ended; check firmware and shutter head")
+            time.sleep(_LOOK_S)
+
+    def shortest_us(self) -> int:
+        """Shortest pulse of the output type."""
+        return int(self._controller.query("SHUT:PULS:MIN?", str.isdigit))
+
+    def clock_us(self) -> int:
+        """The controller's own clock, by its nominal rate; wraps at 2^31."""
+        return int(self._controller.query("SYST:TIME?", str.isdigit))
+
+    def keep_clock(self, ppm: int) -> None:
+        """How much faster than nominal the clock runs; the controller reckons with it from now on."""
+        self._controller.command(f"SYST:CLOC {ppm}")
 
     def release(self) -> None:
         self._controller.release()

@@ -8,16 +8,22 @@ import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from near_world import NearWorld
 from simulated_chip import Chip
 
 from bssrdf.bench.capture import PLAN, small_scene
+from bssrdf.cli import cli
+from bssrdf.console import run
 from bssrdf.errors import DeviceError
+from bssrdf.rig import pulse_test
 from bssrdf.rig.capture import capture
 from bssrdf.rig.commands import rig_close, rig_status
 from bssrdf.rig.devices import devices_of
+from bssrdf.rig.find import described
+from bssrdf.rig.locks import lock_ports
 from bssrdf.rig.rig_toml import read_rig
 from bssrdf.rig.scpi import ScpiBeam, ScpiController, ScpiShutter
 from bssrdf.rig.sim.launch import SimulatedBench
@@ -149,6 +155,95 @@ def test_the_driver_outlives_noise_on_the_line(live: tuple[str, subprocess.Popen
         assert shutter.state() == "open"
         shutter.close()
     shutter.release()
+
+
+def rig_file(folder: Path, driver: str, port: str) -> Path:
+    file = folder / "rig.toml"
+    file.write_text(
+        f"""\
+[shutter]
+driver = "{driver}"
+port = "{port}"
+[beam]
+driver = "{"scpi" if driver == "scpi" else "manual"}"
+{f'port = "{port}"' if driver == "scpi" else ""}
+[camera]
+driver = "folder"
+port = "{folder}"
+[geometry]
+mm_per_px = 0.1
+[reference]
+name = "tile"
+reflectance = [0.99, 0.99, 0.99]
+reflectance_sd = [0.01, 0.01, 0.01]
+""",
+        encoding="utf-8",
+    )
+    return file
+
+
+def test_rig_test_reads_the_light_s_own_time_back_and_keeps_the_clock_s_error(
+    live: tuple[str, subprocess.Popen[str]],
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(pulse_test, "PULSES_US", (4000, 20_000, 64_000))
+    monkeypatch.setattr(pulse_test, "_CLOCK_S", 1.0)
+    port, process = live
+    rig = rig_file(tmp_path, "scpi", port)
+    assert run(cli, ["rig", "test", "--rig", str(rig)]) == 0
+    text = capsys.readouterr().out
+    assert re.search(r"^ +4 +4\.000 +\+0 +0  commanded$", text, re.MULTILINE)
+    assert "no photodiode is fitted" in text
+    for line in ("send " + b"SHUT:TYPE SOL\nSHUT:SENS ON\n".hex(), "blade 192000 80000"):
+        tell(process, line)
+    time.sleep(0.3)
+    assert run(cli, ["rig", "test", "--set-clock", "--rig", str(rig)]) == 0
+    text = capsys.readouterr().out
+    rows = re.findall(r"^ +(\S+) +(\S+) +(\S+) +(\S+)  light$", text, re.MULTILINE)
+    assert [float(row[0]) for row in rows] == [20, 64]
+    for _, _, error_us, spread_us in rows:
+        assert float(error_us) == pytest.approx(BLADE_US, abs=10)
+        assert float(spread_us) <= 10
+    ppm = re.search(r"kept in the controller: SYST:CLOC (-?\d+)", text)
+    assert ppm
+    controller = ScpiController(port)
+    controller.connect()
+    assert controller.query("SYST:CLOC?", lambda reply: True) == ppm[1]
+    assert controller.query("BEAM:STAT?", str.isalpha) == "OFF"
+    controller.release()
+
+
+BLADE_US = (0.75 - 1.0) * 12_000 + (0.5 - 0.55) * 5000
+"""What the simulated blade adds to a pulse of the lag 12 ms and the bounce 5 ms: it closes after three quarters of the
+lag, lets light through for half of the bounce as it closes, and keeps it off for 0.55 of the bounce as it opens."""
+
+
+def test_rig_test_says_when_there_is_no_light_or_nothing_to_read_back(
+    live: tuple[str, subprocess.Popen[str]], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    port, process = live
+    tell(process, "send " + b"SHUT:SENS ON\n".hex())
+    time.sleep(0.2)
+    assert run(cli, ["rig", "test", "--rig", str(rig_file(tmp_path, "scpi", port))]) == 4
+    assert "does not open" in (error := capsys.readouterr().err) or "saw no light" in error
+    assert run(cli, ["rig", "test", "--rig", str(rig_file(tmp_path, "sc10", port))]) == 2
+    assert "driver sc10 reads no pulse back" in capsys.readouterr().err
+
+
+def test_rig_list_names_the_board_and_sends_nothing(
+    live: tuple[str, subprocess.Popen[str]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    port, _ = live
+    board, other = (SimpleNamespace(device=port, description="USB Serial", vid=vid) for vid in (0x1A86, 0x0001))
+    (named,) = described([board])
+    assert re.fullmatch(
+        rf"{port}: bssrdf controller \(driver scpi\), serial number 0000, firmware 1\.0\.0\S+ \(USB Serial\)", named
+    )
+    assert described([other]) == [f"{port}: USB Serial"]
+    with lock_ports({str(Path(port).resolve())}):
+        assert re.fullmatch(rf"{port}: USB Serial \(in use by process \d+; .*\)", described([board])[0])
 
 
 SPEED = 4.0
