@@ -57,10 +57,13 @@ def pulse_test(rig_file: Path, *, set_clock: bool = False) -> Iterator[str]:
             yield "no photodiode is fitted: these are times of the output, not of the light (docs/controller.md)"
         if set_clock:
             clock.wait()
-        yield clock.text()
+        ppm, unsure_ppm = clock.rate()
+        yield f"clock: {ppm:+d} ppm against this computer's, within {unsure_ppm} ppm"
+        if abs(ppm) > _MOST_PPM:
+            raise DeviceError(f"{shutter.name}: its clock is off by {ppm} ppm; the board is defective")
         if set_clock:
-            shutter.keep_clock(clock.ppm())
-            yield f"kept in the controller: SYST:CLOC {clock.ppm()}"
+            shutter.keep_clock(ppm)
+            yield f"kept in the controller: SYST:CLOC {ppm}"
 
 
 class _Clock:
@@ -84,19 +87,9 @@ class _Clock:
         while self._sample()[1] - self._first[1] < _CLOCK_S:
             time.sleep(0.25)
 
-    def _rate(self) -> tuple[float, float]:
+    def rate(self) -> tuple[int, int]:
         """How much faster than ours it runs, and what that may be off by [ppm]."""
         unsure_s, ours_s, theirs_s = self._sample()
         passed_s = ours_s - self._first[1]
         theirs_passed_s = (theirs_s - self._first[2]) % (2**31 / 1e6)
-        return (theirs_passed_s / passed_s - 1) * 1e6, (unsure_s + self._first[0]) / passed_s * 1e6
-
-    def text(self) -> str:
-        ppm, unsure_ppm = self._rate()
-        return f"clock: {ppm:+.0f} ppm against this computer's, within {unsure_ppm:.0f} ppm"
-
-    def ppm(self) -> int:
-        ppm = round(self._rate()[0])
-        if abs(ppm) > _MOST_PPM:
-            raise DeviceError(f"{self._shutter.name}: its clock is off by {ppm} ppm; the board is defective")
-        return ppm
+        return round((theirs_passed_s / passed_s - 1) * 1e6), round((unsure_s + self._first[0]) / passed_s * 1e6)

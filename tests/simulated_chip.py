@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 import subprocess
 from itertools import pairwise
 from pathlib import Path
@@ -15,11 +14,20 @@ TTL_KEPT = ["SHUT:TYPE TTL"]
 """What a board is told once, when it is new."""
 
 
+PROBES = {
+    "make": (["make", "--version"], ""),
+    "avr-gcc and avr-libc": (["avr-gcc", "-mmcu=atmega328p", "-E", "-"], "#include <avr/io.h>"),
+    "a C compiler, libsimavr-dev and libelf-dev": (
+        ["cc", "-x", "c", "-I/usr/include/simavr", "-", "-o", "/dev/null", "-lsimavr", "-lelf"],
+        "#include <sim_avr.h>\nint main(void) { return !avr_make_mcu_by_name; }",
+    ),
+}
+"""What must run to build firmware and simulator, and on what input."""
+
+
 def built(folder: Path) -> Path:
     """The folder with firmware and simulated chip, built; the test is skipped where the tools for it are missing."""
-    header = Path("/usr/include/simavr/sim_avr.h")
-    missing = [name for name in ("avr-gcc", "cc", "make") if not shutil.which(name)]
-    missing += [] if header.exists() else ["libsimavr-dev"]
+    missing = [tool for tool, probe in PROBES.items() if not _runs(*probe)]
     if missing:
         pytest.skip(f"needs {', '.join(missing)} (.ci/apt installs them on Debian and Ubuntu)")
     words = ["make", "-C", str(FIRMWARE), f"OUT={folder}", "simulator"]
@@ -27,6 +35,13 @@ def built(folder: Path) -> Path:
     assert done.returncode == 0, done.stderr
     assert "warning" not in done.stderr, done.stderr
     return folder
+
+
+def _runs(words: list[str], text: str) -> bool:
+    try:
+        return subprocess.run(words, input=text, capture_output=True, text=True).returncode == 0
+    except FileNotFoundError:
+        return False
 
 
 class Chip:
