@@ -5,6 +5,7 @@ What its pins do is done to the world; the world's interlock is the chip's. The 
 
 from __future__ import annotations
 
+import contextlib
 import select
 import subprocess
 import sys
@@ -57,4 +58,5 @@ def act(world: WorldClient, line: str, start_s: float) -> None:
 
 
 if __name__ == "__main__":
-    main(*sys.argv[1:4], float(sys.argv[4]))
+    with contextlib.suppress(OSError, ValueError):  # the world has ended
+        main(*sys.argv[1:4], float(sys.argv[4]))
