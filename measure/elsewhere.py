@@ -15,6 +15,8 @@ from bssrdf.session.frame_files import read_linear_image
 from bssrdf.session.records import Camera, Frame, Session
 
 _NEIGHBOURHOOD = 9
+_BRIGHT_EDGE = 0.05
+"""Share of the brightest pixel: what leaves a spot's surroundings at this level is more than is put back."""
 
 
 def read_elsewhere(
@@ -33,10 +35,20 @@ def read_elsewhere(
         if kind in images or any(other.kind == kind for other in frames):
             raise InputError(f"{frame.file}: is one of several images of the {kind}; leave one in frames.csv")
         radiance = read_linear_image(session.path / frame.file)
+        _check_light_is_inside(frame, radiance)
         layout = "rgb" if radiance.ndim == 3 else camera.layout or "mono"
         camera = replace(camera, layout=layout)
         images[kind] = _with_variance(radiance, mosaic_period(layout), rel_sd)
     return images, camera
+
+
+def _check_light_is_inside(frame: Frame, radiance: Plane) -> None:
+    """InputError where it is bright beside pixels without data: the data window of the file cuts off the spot."""
+    light = radiance if radiance.ndim == 2 else radiance.sum(2)
+    usable = np.isfinite(light)
+    beside = usable & (cv2.dilate((~usable).astype(np.uint8), np.ones((3, 3), np.uint8)) > 0)
+    if beside.any() and light[beside].max() > _BRIGHT_EDGE * light[usable].max():
+        raise InputError(f"{frame.file}: its data window cuts through the spot; save the whole picture")
 
 
 def _with_variance(radiance: Plane, period: int, rel_sd: float | None) -> Hdr:

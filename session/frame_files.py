@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bssrdf.errors import InputError
+from bssrdf.session.file_kind import check_content
 from bssrdf.session.raw_file import RAW_SUFFIXES, read_raw
 from bssrdf.session.raw_frame import RawFrame
 from bssrdf.session.records import Card
@@ -61,6 +62,11 @@ def _read(path: Path, *, encoded: bool, pixels: bool) -> list[RawFrame]:
     from bssrdf.session.portable_files import read_fits, read_npy, read_pnm
 
     suffix = path.suffix.lower()
+    if suffix not in (*RAW_SUFFIXES, *IMAGE_SUFFIXES, *ENCODED_SUFFIXES):
+        raise InputError(
+            f"{path}: {suffix or 'no suffix'} is no kind of frame; use RAW, TIFF, PNG, PNM, FITS, NPY or EXR"
+        )
+    check_content(path)
     if suffix in RAW_SUFFIXES:
         return [read_raw(path, pixels=pixels)]
     if suffix in _TIFF:
@@ -78,9 +84,7 @@ def _read(path: Path, *, encoded: bool, pixels: bool) -> list[RawFrame]:
 
         return [read_parts(path)]
     readers = {**dict.fromkeys(_PNM, read_pnm), **dict.fromkeys(_FITS, read_fits), ".npy": read_npy}
-    if suffix in readers:
-        return readers[suffix](path)
-    raise InputError(f"{path}: {suffix or 'no suffix'} is no kind of frame; use RAW, TIFF, PNG, PNM, FITS, NPY or EXR")
+    return readers[suffix](path)
 
 
 def _read_encoded(path: Path, encoded: bool) -> RawFrame:

@@ -31,8 +31,6 @@ def read_raw(path: Path, *, pixels: bool = True) -> RawFrame:
 
     from bssrdf.session.tiff_file import check_extent, raw_tags, read_tiff
 
-    if not path.is_file():
-        raise InputError(f"{path}: is not there; check the path")
     tags = raw_tags(path)
     _check_pattern(path, tags)
     if _is_for_tiff(tags):
@@ -44,6 +42,11 @@ def read_raw(path: Path, *, pixels: bool = True) -> RawFrame:
             if tags and not pixels:
                 return RawFrame(np.empty((0, 0), np.uint16), _quick_card(raw, tags), utc=time_of_tags(tags))
             return _raw_frame(path, raw, tags, pixels)
+    except rawpy.LibRawFileUnsupportedError as error:
+        version = ".".join(map(str, rawpy.libraw_version))
+        raise InputError(
+            f"{path}: is of a kind that LibRaw {version} does not read; convert it to DNG, or update rawpy"
+        ) from error
     except (rawpy.LibRawError, rawpy.NotSupportedError, OSError, ValueError, IndexError, MemoryError) as error:
         reason = error.args[0] if error.args else error
         reason = reason.decode(errors="replace") if isinstance(reason, bytes) else reason

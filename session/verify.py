@@ -9,6 +9,7 @@ from typing import NamedTuple
 from bssrdf.errors import BssrdfError
 from bssrdf.session.atomic import sha256_of
 from bssrdf.session.constancy import differences, with_cards
+from bssrdf.session.frame_files import read_card
 from bssrdf.session.frames_csv import dark_for, read_frames
 from bssrdf.session.records import Frame
 from bssrdf.session.session_toml import UNNAMED, read_session
@@ -53,8 +54,18 @@ def _frame_faults(path: Path, frames: Sequence[Frame]) -> Iterator[str]:
             yield f"{file}: is not there; put it back or take its line out of frames.csv"
         elif frame.sha256 and sha256_of(file) != frame.sha256:
             yield f"{file}: has changed since it was listed (its sha256 differs); restore it or take it again"
+        elif not frame.card.width_px:
+            yield from _unreadable(file)
         if frame.kind in ("sample", "reference", "flat"):
             try:
                 dark_for(frame, frames)
             except BssrdfError as error:
                 yield f"{path / 'frames.csv'}: {error}"
+
+
+def _unreadable(file: Path) -> Iterator[str]:
+    """What is wrong with a file that nobody has looked into yet."""
+    try:
+        read_card(file, encoded=True)
+    except BssrdfError as error:
+        yield str(error)

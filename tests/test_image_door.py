@@ -381,6 +381,31 @@ def test_stack_or_planes_that_are_cut_are_refused(tmp_path: Path, name: str) -> 
         read_frames_of(tmp_path / name)
 
 
+@pytest.mark.parametrize(
+    ("name", "data", "cause"),
+    [
+        ("a.tif", b"", "is empty"),
+        ("a.dng", b"\xff\xd8\xff\xe0" + bytes(60), r"is a \.jpg file by its content, named \.dng; name it a\.jpg"),
+        ("a.png", b"II*\0" + bytes(60), r"is a \.tif file by its content, named \.png"),
+        ("a.nef", b"version https://git-lfs.github.com/spec/v1\n", "Git LFS pointer"),
+        ("a.cr2", b"<!DOCTYPE html>", "a web page"),
+        ("a.fits", bytes(5000), "begins with zeros"),
+        ("a.arw", b"no such format " * 9, "LibRaw .* does not read; convert it to DNG"),
+        ("a.heic", b"anything", "is no kind of frame"),
+    ],
+)
+def test_unreadable_file_says_what_it_is(tmp_path: Path, name: str, data: bytes, cause: str) -> None:
+    (tmp_path / name).write_bytes(data)
+    with pytest.raises(InputError, match=cause):
+        read_frame_file(tmp_path / name)
+
+
+@pytest.mark.parametrize("name", ["a.tif", "a.dng", "a.npy", "a.exr", "a.png"])
+def test_file_that_is_not_there_is_said_to_be_missing(tmp_path: Path, name: str) -> None:
+    with pytest.raises(InputError, match="is not there"):
+        read_frame_file(tmp_path / name)
+
+
 @pytest.mark.parametrize("suffix", [".pgm", ".fits", ".npy", ".png", ".tif", ".exr", ".hdr"])
 def test_rubbish_of_any_name_is_refused_in_one_line(tmp_path: Path, suffix: str) -> None:
     rng = np.random.default_rng(7)

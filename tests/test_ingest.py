@@ -220,6 +220,14 @@ def test_verify_finds_everything_that_changed(folder: Path, tmp_path: Path) -> N
     assert len(faults) == 5
 
 
+def test_verify_names_a_file_by_hand_that_cannot_be_read(folder: Path, tmp_path: Path) -> None:
+    ingest_folder(folder, tmp_path / "s", kinds=RULES, camera={"layout": "mono"})
+    table = tmp_path / "s/frames.csv"
+    table.write_text("".join(f"{','.join(line.split(',')[:3])}\n" for line in table.read_text().splitlines()))
+    (tmp_path / "s/frames/lid/c_10ms.tif").write_bytes(b"<html>")
+    assert [fault for fault in verify_session(tmp_path / "s").faults if "c_10ms.tif: is a web page" in fault]
+
+
 def test_verify_passes_a_session_that_is_complete(folder: Path, tmp_path: Path) -> None:
     out = tmp_path / "s"
     ingest_folder(folder, out, kinds=RULES, camera={"layout": "mono"})

@@ -15,11 +15,11 @@ import tifffile
 
 from bssrdf.errors import DeviceError
 from bssrdf.rig.child import ended_well
-from bssrdf.rig.file_kind import kind_of
 from bssrdf.rig.ports import BenchClock
 from bssrdf.rig.programs import CommandBeam, CommandCamera, CommandShutter, decimal
 from bssrdf.rig.sim.raw_files import dng_bytes
 from bssrdf.rig.sim.sensor import Sensor, expose
+from bssrdf.session.file_kind import kind_of
 
 SENSOR = Sensor(height_px=16, width_px=16)
 FRAME = dng_bytes(expose(SENSOR, 1e3, 0.1, np.random.default_rng(0)), SENSOR, 0.1)
