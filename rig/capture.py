@@ -24,7 +24,7 @@ from bssrdf.rig.rig_toml import Rig, read_rig
 from bssrdf.rig.steps import Step, snapped, steps_of
 from bssrdf.session.atomic import sha256_of, sync
 from bssrdf.session.constancy import card_of_file, differences
-from bssrdf.session.frames_csv import append_frame
+from bssrdf.session.frames_csv import SAME_EXPOSURE, append_frame
 from bssrdf.session.records import Frame
 
 DRIFT_FLAGGED = 0.003
@@ -121,6 +121,10 @@ def make_safe(devices: Devices) -> str:
     return problem
 
 
+def _same(one_s: float, other_s: float) -> bool:
+    return math.isclose(one_s, other_s, rel_tol=SAME_EXPOSURE)
+
+
 class _Run:
     """One capture."""
 
@@ -214,7 +218,7 @@ class _Run:
             file = self._expose(step, self._session / "frames" / f"{step.name}.part")
             seen, wrong = check(file, step, self._longer(step), self._white)
             frame = self._line(step, file, seen)
-            wrong = self._set_otherwise(frame) or wrong
+            wrong = self._set_otherwise(frame) or self._taken_before(frame, seen) or wrong
             if seen is not None and not wrong:
                 self._keep(step, file, frame)
                 self._report(event._replace(what="done", peak=seen.peak))
@@ -287,7 +291,7 @@ class _Run:
         """The frame's line of frames.csv, with what its file says of itself."""
         name = f"frames/{step.name}{file.suffix}"
         exposure_s = seen.exposure_s if seen is not None else step.exposure_s
-        return Frame(name, step.kind, exposure_s, card=card_of_file(file))
+        return Frame(name, step.kind, exposure_s, sha256=sha256_of(file), card=card_of_file(file))
 
     def _set_otherwise(self, frame: Frame) -> str:
         """How the file's own words differ from the camera's settings, or from the frames before; else nothing."""
@@ -296,13 +300,21 @@ class _Run:
             return f"it has ISO {frame.card.iso:g}, but the camera is set to {iso}: is its ISO automatic?"
         return next((f"it {unlike.fact}" for unlike in differences([*self._kept, frame])), "")
 
+    def _taken_before(self, frame: Frame, seen: Seen | None) -> str:
+        """The frame of another step that this one is a copy of; darks that are clipped to zero may be alike."""
+        if seen is None or not seen.is_lit:
+            return ""
+        alike = (other for other in self._kept if other.sha256 == frame.sha256)
+        other = next((one for one in alike if (one.kind, one.exposure_s) != (frame.kind, frame.exposure_s)), None)
+        return f"it is the file of {other.file} again" if other else ""
+
     def _keep(self, step: Step, file: Path, frame: Frame) -> None:
         """Have the frame on disk under its own name, and then in the journal."""
         sync(file)
         target = file.with_name(step.name + file.suffix)
         file.rename(target)
         sync(target.parent)
-        frame = replace(frame, utc=self._devices.clock.utc(), sha256=sha256_of(target))
+        frame = replace(frame, utc=self._devices.clock.utc())
         append_frame(self._session, frame)
         self._kept.append(frame)
 
@@ -316,7 +328,7 @@ class _Run:
         if not step.lit:
             return
         first = self._first.setdefault(step.subject, seen)
-        if step.subject in self._before and seen is not first and math.isclose(seen.exposure_s, first.exposure_s):
+        if step.subject in self._before and seen is not first and _same(seen.exposure_s, first.exposure_s):
             self._drift[step.subject] = drift(first, seen)
             if abs(self._drift[step.subject]) > DRIFT_FLAGGED:
                 change = f"{step.subject} changed by {100 * self._drift[step.subject]:+.2f} % from begin to end"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import shlex
 import signal
@@ -14,6 +15,7 @@ from typing import IO
 from bssrdf.errors import DeviceError
 
 _TICK_S = 0.1
+_KILL_S = 2.0
 _WORDS_SHOWN = 200
 
 
@@ -54,9 +56,12 @@ def _code(process: subprocess.Popen[bytes], deadline: float, keep_alive: Callabl
 
 
 def _end(process: subprocess.Popen[bytes]) -> None:
+    """End the program with its group; one that belongs to another user may outlive it."""
     if process.poll() is None:
-        os.killpg(process.pid, signal.SIGKILL)
-        process.wait()
+        with contextlib.suppress(ProcessLookupError, PermissionError):
+            os.killpg(process.pid, signal.SIGKILL)
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            process.wait(_KILL_S)
 
 
 def _last_line(*outputs: IO[bytes]) -> str:

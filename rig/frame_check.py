@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
+from bssrdf.calib.quantisation import step_dn
+from bssrdf.calib.saturation import pile_up_dn
 from bssrdf.errors import InputError
 from bssrdf.rig.steps import Step
 from bssrdf.session.frame_files import read_frame_file
@@ -26,6 +28,12 @@ _SIGMAS = 8.0
 _SATURATED = 0.98
 """Share of the white level from which a pixel no longer counts."""
 _ALL = 0.9
+_GLOW = 10.0
+"""Noises between the darkest places and most of the picture from which light falls on all of it; one alone spans 5."""
+_RANGE = 50.0
+"""A camera's range holds more noises than this."""
+_ROUNDING_SD = 0.3
+"""Of a number that was rounded, in steps."""
 
 
 class Seen(NamedTuple):
@@ -39,7 +47,9 @@ class Seen(NamedTuple):
     noise: float
     """Standard deviation of a cell without light [DN]."""
     peak: float
-    """Brightest pixel over the white level."""
+    """Brightest pixel over the white level; 0 where that is not known."""
+    step: float = 1.0
+    """Between neighbouring values [DN]; 0 where there is none."""
 
     @property
     def spot(self) -> float:
@@ -55,18 +65,53 @@ class Seen(NamedTuple):
 def look(file: Path, white: float | None = None) -> tuple[RawFrame, Seen]:
     """Read a frame and boil it down; InputError where it cannot be read."""
     frame = read_frame_file(file)
-    data = frame.data.astype(float)
-    if data.ndim == 3:
-        data = data.mean(2)
-    level = frame.white or white or (np.iinfo(frame.data.dtype).max if frame.data.dtype.kind == "u" else 1.0)
-    height, width = (size // 2 * 2 for size in data.shape)
-    cells = data[:height, :width].reshape(height // 2, 2, width // 2, 2)
-    black = np.mean(frame.black) if frame.black is not None else float(np.median(data))
-    light = cells.mean((1, 3)) - black
+    step = step_dn(frame.data)
+    cells = _cells(frame.data)
+    light = cells.mean((1, 3, 4))
     differences = np.diff(light, axis=1)
-    noise = max(1.4826 * float(np.median(abs(differences - np.median(differences)))) / np.sqrt(2), 0.3)
-    clipped = np.asarray((cells >= _SATURATED * level).any((1, 3)))
-    return frame, Seen(frame.exposure_s or 0.0, light, clipped, noise, float(data.max() / level))
+    spread = 1.4826 * float(np.median(abs(differences - np.median(differences)))) / np.sqrt(2)
+    noise = max(spread, _ROUNDING_SD * step)
+    black = _lightless(frame.data, noise) if frame.black is None else float(np.mean(frame.black))
+    stated = frame.white or white or _largest(frame.data.dtype)
+    levels = _saturation(cells, stated, black, step, above=black + _RANGE * noise)
+    seen = Seen(
+        exposure_s=frame.exposure_s or 0.0,
+        light=light - black,
+        clipped=np.asarray((cells >= _SATURATED * levels[:, None]).any((1, 3, 4))),
+        noise=noise,
+        peak=float(cells.max() / levels.min()),
+        step=step,
+    )
+    return frame, seen
+
+
+def _cells(data: NDArray[Any]) -> NDArray[Any]:
+    """The picture as (h/2, 2, w/2, 2, colours): places of the mosaic's period apart."""
+    height, width = (size // 2 * 2 for size in data.shape[:2])
+    return data[:height, :width].reshape(height // 2, 2, width // 2, 2, -1)
+
+
+def _lightless(data: NDArray[Any], noise: float) -> float:
+    """The level of most of the picture, unless that is lit too: then of its darkest places."""
+    low, middle = np.percentile(data, (1, 50))
+    return float(middle if middle - low < _GLOW * noise else low)
+
+
+def _largest(kind: np.dtype[Any]) -> float:
+    return float(np.iinfo(kind).max) if kind.kind == "u" else np.inf
+
+
+def _saturation(cells: NDArray[Any], stated: float, black: float, step: float, *, above: float) -> Array:
+    """Saturation [DN] by place and colour, (2, 2, colours): where samples pile up, if that is below what is stated.
+
+    A camera of 12 bits may write files of 16. Noise ends in a pile as well, but not `above` it.
+    """
+    levels = np.full((2, 2, cells.shape[4]), stated)
+    for row, column, colour in np.ndindex(levels.shape):
+        pile = pile_up_dn(cells[:, row, :, column, colour].ravel(), step, black)
+        if pile is not None and above < pile < stated:
+            levels[row, column, colour] = pile
+    return levels
 
 
 def fault_of(step: Step, frame: RawFrame, seen: Seen, before: Seen | None) -> str:
@@ -96,7 +141,7 @@ def _out_of_step(seen: Seen, before: Seen) -> str:
     if not bright.any():
         return "" if seen.is_lit or not before.is_lit else _too_dark(seen, before, ratio)
     expected, got = ratio * before.light[bright].sum(), seen.light[bright].sum()
-    error = _SIGMAS * seen.noise * np.sqrt(bright.sum()) + 8 * np.sqrt(abs(expected))
+    error = _SIGMAS * seen.noise * np.sqrt(bright.sum()) + 8 * np.sqrt(abs(expected) * seen.step)
     if abs(got - expected) > _IN_STEP * expected + error:
         return f"its light is {got / expected:.2f} of what the frame of {before.exposure_s:g} s lets expect"
     return ""

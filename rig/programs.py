@@ -99,7 +99,9 @@ class CommandCamera:
 
     def take(self, exposure_s: float, part: Path, keep_alive: Callable[[], None]) -> Path:
         """Run the program. It leaves its file at `{out}`, with any suffix or none, in a folder that is empty."""
-        with tempfile.TemporaryDirectory(prefix="part-", dir=part.parent.absolute()) as folder:
+        with tempfile.TemporaryDirectory(
+            prefix="part-", dir=part.parent.absolute(), ignore_cleanup_errors=True
+        ) as folder:
             out = Path(folder) / "frame"
             stands_for = {"{exposure_s}": decimal(exposure_s), "{out}": str(out)}
             words = [_filled(word, stands_for) for word in self._expose]

@@ -15,7 +15,9 @@ import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+import numpy as np
 import pytest
+import tifffile
 
 from bssrdf.bench.capture import (
     COMMAND_CAMERA_FAULTS,
@@ -25,6 +27,7 @@ from bssrdf.bench.capture import (
     small_scene,
 )
 from bssrdf.errors import DeviceError
+from bssrdf.rig.capture import capture
 from bssrdf.rig.commands import dry_run, rig_close
 from bssrdf.rig.interrupts import Interrupts
 from bssrdf.rig.manual import ManualShutter
@@ -97,6 +100,20 @@ def test_every_fault_of_a_program_at_every_frame(mended: SimulatedBench, tmp_pat
     campaign = Campaign(by_hand(mended, tmp_path, simulated=True) if hand else mended, tmp_path)
     faults = every_fault(3, () if hand else COMMAND_SHUTTER_FAULTS, COMMAND_CAMERA_FAULTS)
     assert not [run for arguments in faults if (run := campaign.disturb(*arguments)).problems]
+
+
+def test_a_script_that_brings_an_old_frame_again_is_found_out(mended: SimulatedBench, tmp_path: Path) -> None:
+    """Its files say no exposure, and the light of a lamp half as bright would fit it."""
+    hand, plan = by_hand(mended, tmp_path, simulated=True), tmp_path / "plan.toml"
+    plan.write_text(PLAN.replace("0.001]", "0.0155]"), encoding="utf-8")
+    data = np.random.default_rng(0).normal(500, 3, (80, 120))
+    data[30:50, 50:70] += 3000
+    tifffile.imwrite(tmp_path / "old.tif", data.astype(np.uint16), photometric="minisblack")
+    text = hand.rig_file.read_text(encoding="utf-8")
+    text = re.sub(r"expose = .*", f"expose = \"sh -c 'cp {tmp_path}/old.tif $1.tif' {{exposure_s}} {{out}}\"", text)
+    hand.rig_file.write_text(text, encoding="utf-8")
+    with pytest.raises(DeviceError, match=r"it is the file of frames/001_sample_16ms\.tif again"):
+        capture(plan, hand.rig_file, tmp_path / "s")
 
 
 def test_moves_by_hand_are_counted_before_the_first(mended: SimulatedBench, tmp_path: Path) -> None:

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import tifffile
 
 from bssrdf.errors import InputError
 from bssrdf.rig.frame_check import Seen, check, drift
@@ -98,3 +99,44 @@ def test_metering_finds_the_longest_unsaturated_time_in_few_shots(tmp_path: Path
     assert len(shots) < 13
     with pytest.raises(InputError, match="give list_s"):
         metered(shot, ())
+
+
+CONTAINERS = {
+    "12 bits": lambda dn: dn.astype(np.uint16) // 4,
+    "12 bits, high aligned": lambda dn: dn.astype(np.uint16) // 4 * 16,
+    "8 bits": lambda dn: (dn // 64).astype(np.uint8),
+    "float 0 to 1": lambda dn: (dn / 16383).astype(np.float32),
+    "float in any unit": lambda dn: (3.7 * dn).astype(np.float32),
+    "rgb": lambda dn: np.repeat(dn[:, :, None].astype(np.uint16) // 4, 3, axis=2),
+}
+
+
+@pytest.mark.parametrize("container", CONTAINERS)
+def test_saturation_is_seen_whatever_the_container(tmp_path: Path, container: str) -> None:
+    """A bracket whose long frames clip passes, and light out of step is still refused."""
+
+    def made(exposure_s: float, light: float = 1.0) -> Path:
+        dn = expose(SENSOR, light * SPOT, exposure_s, np.random.default_rng(3))
+        file = tmp_path / f"{exposure_s:g}_{light:g}.tif"
+        tifffile.imwrite(file, CONTAINERS[container](dn), photometric="rgb" if container == "rgb" else "minisblack")
+        return file
+
+    before, wrong = check(made(1.0), Step("x", "sample", 1.0), None, None)
+    assert before is not None
+    assert wrong == ""
+    assert before.clipped.any()
+    for exposure_s in (0.5, 0.25, 0.1):
+        assert judged(made(exposure_s), "sample", exposure_s, before) == ""
+    assert not seen(made(0.1), 0.1).clipped.any()
+    assert "of what the frame of 1 s" in judged(made(0.25, light=0.6), "sample", 0.25, before)
+    assert "not dark" in judged(made(1.0), "sample_dark", 1.0)
+    assert judged(made(1.0, light=0.0), "sample_dark", 1.0) == ""
+    assert "all dark" in judged(made(1.0, light=0.0), "sample", 1.0)
+
+
+def test_a_frame_that_is_saturated_over_most_of_it_is_not_taken_for_a_dark_one(tmp_path: Path) -> None:
+    dn = expose(SENSOR, 1e4 * SPOT, 1.0, np.random.default_rng(3)) // 4
+    assert np.median(dn) == 4095
+    tifffile.imwrite(tmp_path / "bright.tif", dn.astype(np.uint16), photometric="minisblack")
+    shown = seen(tmp_path / "bright.tif", 1.0)
+    assert shown.clipped.mean() > 0.5
