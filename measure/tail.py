@@ -27,6 +27,8 @@ _MODEL_FREEDOM = 4
 """The form is right to this, and departs from the truth as smoothly as a curve of this many free values."""
 _LEAST_BINS = 8
 _ATTENUATION_REL_SD = 0.03
+_MOST_STEP = 0.01
+"""A parameter that nothing tells has an error without bound; its slope is taken over no more than this."""
 _ORDINATES = 16
 _LOG_LOSS = (-14.0, -0.5)
 """Range of ln(1 − α′) in which a total is looked up."""
@@ -133,7 +135,7 @@ class TailFit:
     def estimate(self, quantity: Callable[[Tail], float]) -> Estimate:
         """A quantity of the tail with the error that follows from that of the fit."""
         value = quantity(self.tail)
-        steps = 1e-3 * np.sqrt(np.diag(self.covariance)) + 1e-12
+        steps = np.minimum(1e-3 * np.sqrt(np.diag(self.covariance)) + 1e-12, _MOST_STEP)
         slope = np.array(
             [(quantity(self.make(self.parameters + step)) - value) / step.sum() for step in np.diag(steps)]
         )
