@@ -100,10 +100,8 @@ UNMEASURABLE = ("stale", "exchanged")
 @lru_cache(maxsize=2)
 def scene(material: str = "marble") -> Scene:
     """A small camera of one colour on a published material."""
-    sample, tile = (
-        replace(each, media={"G": each.media["G"]}) for each in (published_sample(material), white_tile())
-    )
-    return Scene(sample, tile, Sensor(200, 300, "mono"), mm_per_px=0.15, channel_power=(1.0,))
+    sample, tile = (replace(each, media={"G": each.media["G"]}) for each in (published_sample(material), white_tile()))
+    return Scene(sample, tile, Sensor(200, 300, "mono"), mm_per_px=0.15, channel_power=(1.0,))  # type: ignore[arg-type]  # one channel
 
 
 @lru_cache(maxsize=2)

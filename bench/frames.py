@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Protocol
@@ -15,11 +15,11 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from bssrdf.bench.frame_faults import FAULTS, UNMEASURABLE, currents, scene, session_of, write_session
-from bssrdf.errors import InputError
-from bssrdf.measure.curve import Options, measure_slice
+from bssrdf.bench.frame_faults import FAULTS, currents, scene, session_of, write_session
 from bssrdf.calib.frame_model import Exposures
 from bssrdf.calib.surface import Surface
+from bssrdf.errors import InputError
+from bssrdf.measure.curve import Options, measure_slice
 from bssrdf.measure.image import Image
 from bssrdf.measure.merge import Hdr
 from bssrdf.measure.session import measure_session
@@ -82,7 +82,7 @@ def run_frames_bench(
 def true_slice(material: str) -> Slice:
     """What a camera without noise measures, with the totals that the light was made with."""
     bench = scene(material)
-    session = session_of(Path("."), Camera(bench.sensor.layout), material)
+    session = session_of(Path(), Camera(bench.sensor.layout), material)
     assert session.geometry
     images = [
         Image(kind, _noiseless(light), bench.sensor.layout, ("G",), Surface(session.geometry, None))

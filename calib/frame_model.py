@@ -5,8 +5,8 @@ Two frames i, j of one scene show x_i and x_j DN above their darks. To first ord
 with s the scale of a frame, the error of its label and that of the lamp together (in one frame nothing tells them
 apart; a label's error is shared by all kinds of frames, the lamp's is a frame's own), o its black less that of its
 dark, and b the bend. All are Gaussian with spreads that the comparisons tell (MacKay 1992, Neural Computation 4, 415,
-eq. 4.2). Of four models, with and without lamp and with and without offsets and bend, the simplest that the data bear
-is taken. Comparisons that still contradict each other get a further error in common.
+eq. 4.2). Lamp, offsets and bend come in one by one, as long as the comparisons bear them. Comparisons that still
+contradict each other get a further error in common.
 """
 
 from __future__ import annotations
@@ -30,10 +30,11 @@ _BEARS = 8.0
 _AS_EXPECTED = 1.5
 """Up to this χ² per degree of freedom nothing is looked for."""
 _LAMP, _BEND = (0.005, 6.0), (0.05, 2.0)
-_BLACK, _COLOUR, _FRAME = (1.0, 2.0), (1.0, 2.0), (0.5, 4.0)
+_BLACK, _COLOUR, _FRAME = (1.0, 2.0), (0.3, 1.0), (0.3, 1.0)
 """First guess of a spread and how many values it counts for; those of black in units of the read noise."""
 _LEAK_SD = 10.0
 """Spread of what saturated neighbours add, in units of the read noise."""
+_PARTS = (("lamp",), ("black",), ("black", "colour", "frame", "bend"))
 _BISECTIONS = 40
 _LEAST_VAR, _MOST_VAR = 1e-12, 1.0
 
@@ -223,17 +224,19 @@ def _first_spreads(frames: Sequence[Exposed], maps: _Maps, noise_dn: float) -> d
 
 
 def _simplest(maps: _Maps, pairs: _Pairs, first: dict[str, Array], span_dn: float) -> tuple[_Solution, _Maps]:
-    """The simplest model that the comparisons bear."""
-    shape = ("black", "colour", "frame", "bend")
-    chosen = maps.only(["label"])
+    """The simplest model that the comparisons bear: part by part, the most telling first."""
+    groups: tuple[str, ...] = ("label",)
+    chosen = maps.only(groups)
     best = _solved(chosen, pairs, first, span_dn)
-    for groups in (("label", "lamp"), ("label", *shape), ("label", "lamp", *shape)):
-        if best.chi2 < _AS_EXPECTED:
+    left = list(_PARTS)
+    while left and best.chi2 > _AS_EXPECTED:
+        tried = [(part, maps.only((*groups, *part))) for part in left]
+        solutions = [(_solved(candidate, pairs, first, span_dn), part, candidate) for part, candidate in tried]
+        solution, part, candidate = max(solutions, key=lambda each: each[0].evidence)
+        if solution.evidence < best.evidence + _BEARS:
             break
-        candidate = maps.only(groups)
-        solution = _solved(candidate, pairs, first, span_dn)
-        if solution.evidence > best.evidence + _BEARS:
-            best, chosen = solution, candidate
+        best, chosen, groups = solution, candidate, (*groups, *part)
+        left.remove(part)
     return best, chosen
 
 

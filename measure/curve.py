@@ -18,7 +18,8 @@ from bssrdf.measure.profile import Profile
 from bssrdf.measure.reflectance import (
     Total,
     channel_slice,
-    glare_is_evident,
+    doubted,
+    evident_floor,
     slice_profiles,
     total_light,
     usual_band_mm,
@@ -91,9 +92,11 @@ def measure_slice(
     for channel in sample.channels:
         if reference.is_saturated(channel):
             continue
-        incident = total_light(reference, channel, spots[1], around_tile, glare=options.glare)
-        per_light = reflectance_of(tile, channel, session, sample) / incident.light
-        back = total_light(sample, channel, beam, around, glare=options.glare, per_light=per_light)
+        rho = reflectance_of(tile, channel, session, sample)
+        incident, _ = _light(reference, channel, spots[1], around_tile, options, reflects=rho)
+        per_light = rho / incident.light
+        back, found = _light(sample, channel, beam, around, options, per_light=per_light)
+        flags += found
         profiles = {0: back.profile} if options.radial else slice_profiles(sample, channel, beam, band_mm)
         channels[channel] = channel_slice(profiles, back.floor, per_light)
         lost[channel] = back.lost_fraction
@@ -110,7 +113,6 @@ def measure_slice(
         raised = {
             "light_lost": max(back.lost_fraction, incident.lost_fraction) > _MUCH_LOST,
             "slice_radial_disagree": differ and not options.radial,
-            "glare": not options.glare and glare_is_evident(sample, beam, around, back, per_light),
         }
         flags += [flag for flag, is_raised in raised.items() if is_raised]
     tile_rel_sd, mm_rel_sd, view_angle_sd_deg, assumed = stated_errors(tile, geometry)
@@ -138,6 +140,35 @@ def measure_slice(
         mm_rel_sd=mm_rel_sd,
         flags=tuple(dict.fromkeys(flags)),
     )
+
+
+def _light(
+    image: Image,
+    channel: str,
+    spot: Spot,
+    around: Surroundings,
+    options: Options,
+    *,
+    reflects: float = 0.0,
+    per_light: float = 0.0,
+) -> tuple[Total, list[str]]:
+    """All light of an image in a channel, what an even floor under it does allowed for, and the flags of that.
+
+    1/KΦ is `per_light`, or what makes the light of a surface that `reflects` so much. Glare only adds: a floor below
+    0 is that of darks brighter than black in the frames, and goes; one above 0 stays, unless it was asked for, and is
+    doubted.
+    """
+    total = total_light(image, channel, spot, around, glare=False)
+    per_light = per_light or reflects / total.light
+    if options.glare:
+        return total_light(image, channel, spot, around, glare=True, per_light=per_light), []
+    floor = evident_floor(image, spot, around, total, per_light)
+    if floor is None:
+        return total, []
+    if floor.value > 0:
+        total, notable = doubted(total, floor, image, spot)
+        return total, ["glare"] if notable else []
+    return total_light(image, channel, spot, around, glare=True, per_light=per_light), ["black_offset"]
 
 
 def _plausible(total: float, channel: str, session: Session) -> float:

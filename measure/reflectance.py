@@ -6,7 +6,7 @@ reflectance ρ. So R_d(r) = p(r)/KΦ [1/mm²], and R = Σ p A_px/KΦ of the samp
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,8 +24,10 @@ _BAND_PX = 10
 _BLOCKS_IN_BAND = 16
 """Blocks across a band of a slice, at least."""
 _GLARE_PASSES = 2
-_GLARE_SD = 3.0
+_FLOOR_SD = 3.0
 _GLARE_SHARE = 0.001
+_FLOOR_COUNTS = 3.0
+"""A bin whose own error is below this many errors of the floor feels it."""
 _BEYOND_REL_SD = 0.02
 """How far the form of the tail is right where no pixel tells it, as a share of the light there."""
 
@@ -86,22 +88,23 @@ def total_light(
     return Total(light, sd, beyond / light, fit.estimate(lambda tail: tail.floor), curve, by_count)
 
 
-def glare_is_evident(image: Image, spot: Spot, surroundings: Surroundings, total: Total, per_light: float) -> bool:
-    """Whether an even floor lies under the tail of a curve, clear of its error and of a share of the light."""
-    outline = image.outline(spot)
+def evident_floor(
+    image: Image, spot: Spot, surroundings: Surroundings, total: Total, per_light: float
+) -> Estimate | None:
+    """The even floor [DN/s], of either sign, that lies under the tail of a curve clear of its error; None if none."""
     attenuation = surroundings.attenuation(total.light * per_light)
-    fit = fit_tail(
-        total.profile,
-        float(np.hypot(*outline).min()),
-        surroundings.boundary(),
-        with_floor=True,
-        attenuation=attenuation,
-    )
-    if fit is None:
-        return False
-    floor = fit.estimate(lambda tail: tail.floor)
-    frame = abs(float(np.trapezoid(outline[1], outline[0])))
-    return floor.value > _GLARE_SD * floor.sd and floor.value * frame > _GLARE_SHARE * total.light
+    reach = float(np.hypot(*image.outline(spot)).min())
+    fit = fit_tail(total.profile, reach, surroundings.boundary(), with_floor=True, attenuation=attenuation)
+    floor = fit.estimate(lambda tail: tail.floor) if fit else Estimate(0.0, 0.0)
+    return floor if abs(floor.value) > _FLOOR_SD * floor.sd else None
+
+
+def doubted(total: Total, floor: Estimate, image: Image, spot: Spot) -> tuple[Total, bool]:
+    """The total with a floor that stays in it as its error, and whether that is a notable share of the light."""
+    across, along = image.outline(spot)
+    light = abs(floor.value * float(np.trapezoid(along, across)))
+    wider = replace(total, floor=Estimate(0.0, abs(floor.value)), sd=float(np.hypot(total.sd, light)))
+    return wider, light > _GLARE_SHARE * total.light
 
 
 def light_by_count(image: Image, channel: str) -> Array:
@@ -173,10 +176,14 @@ def channel_slice(profiles: dict[int, Profile], floor: Estimate, per_light: floa
         return np.concatenate([getattr(part, name) for _, part in parts])
 
     side = np.concatenate([np.full(len(part.value), side, np.int8) for side, part in parts])
+    own: Array = joined("sd")
+    # The floor's error is common to all bins, a row's error is taken as its own: so that their mean keeps it, times √n.
+    own = np.asarray(joined("sd"), float)
+    in_common = np.sqrt(max(np.count_nonzero(own < _FLOOR_COUNTS * floor.sd), 1))
     return ChannelSlice(
         joined("r"),
         (joined("value") - floor.value) * per_light,
-        np.hypot(joined("sd"), floor.sd) * per_light,
+        np.hypot(own, in_common * floor.sd) * per_light,
         joined("r_lo"),
         joined("r_hi"),
         side if side.any() else None,
