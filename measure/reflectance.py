@@ -25,6 +25,9 @@ _BLOCKS_IN_BAND = 16
 """Blocks across a band of a slice, at least."""
 _GLARE_PASSES = 2
 _FLOOR_SD = 3.0
+_FITS = 3.0
+"""χ² per degree of freedom up to which a tail has the form of diffusion: 0.3 to 1.4 on the bench, 50 and more where it
+has not, and a floor would only make up for that."""
 _GLARE_SHARE = 0.001
 _FLOOR_COUNTS = 3.0
 """A bin whose own error is below this many errors of the floor feels it."""
@@ -95,7 +98,9 @@ def evident_floor(
     attenuation = surroundings.attenuation(total.light * per_light)
     reach = float(np.hypot(*image.outline(spot)).min())
     fit = fit_tail(total.profile, reach, surroundings.boundary(), with_floor=True, attenuation=attenuation)
-    floor = fit.estimate(lambda tail: tail.floor) if fit else Estimate(0.0, 0.0)
+    if fit is None or fit.chi2 > _FITS:
+        return None
+    floor = fit.estimate(lambda tail: tail.floor)
     return floor if abs(floor.value) > _FLOOR_SD * floor.sd else None
 
 
@@ -179,7 +184,7 @@ def channel_slice(profiles: dict[int, Profile], floor: Estimate, per_light: floa
     own: Array = joined("sd")
     # The floor's error is common to all bins, a row's error is taken as its own: so that their mean keeps it, times √n.
     own = np.asarray(joined("sd"), float)
-    in_common = np.sqrt(max(np.count_nonzero(own < _FLOOR_COUNTS * floor.sd), 1))
+    in_common = max(1, int(np.count_nonzero(own < _FLOOR_COUNTS * floor.sd))) ** 0.5
     return ChannelSlice(
         joined("r"),
         (joined("value") - floor.value) * per_light,

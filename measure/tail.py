@@ -131,6 +131,8 @@ class TailFit:
     parameters: Array
     covariance: Array
     make: Callable[[Array], Tail]
+    chi2: float
+    """Per degree of freedom."""
 
     def estimate(self, quantity: Callable[[Tail], float]) -> Estimate:
         """A quantity of the tail with the error that follows from that of the fit."""
@@ -176,4 +178,5 @@ def fit_tail(
 
     solved = least_squares(residual, start, bounds=(low, high))
     covariance = np.linalg.pinv(solved.jac.T @ solved.jac)
-    return TailFit(make(solved.x), solved.x, covariance, make)
+    chi2 = 2 * float(solved.cost) / max(len(solved.fun) - n, 1)
+    return TailFit(make(solved.x), solved.x, covariance, make, chi2)
