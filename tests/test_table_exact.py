@@ -10,8 +10,8 @@ import pytest
 from scipy.linalg import eigvalsh_tridiagonal
 
 from bssrdf.transport.discrete_ordinates import N_MOMENTS, decay_constants, half_spaces
+from bssrdf.transport.incidence import NORMAL, Incidence, once_scattered
 from bssrdf.transport.single import first_order_rd, first_order_total
-from bssrdf.transport.table_assembly import first_order
 from bssrdf.transport.table_cache import shipped, table_model
 from bssrdf.transport.table_grid import N_W_CELLS, RHO_ZERO, W_MAX, albedo_of, by_cell, interpolating, q_nodes
 
@@ -50,12 +50,12 @@ def test_decay_constants_are_the_largest_eigenvalues(g):
 
 @pytest.mark.parametrize(("eta", "g"), [(1.0, 0.0), (1.3, 0.8), (1.5, -0.5), (3.0, 0.95)])
 def test_light_scattered_once_is_the_same_with_and_without_jax(eta, g):
-    once = first_order(eta, g)
     rho = RHO_ZERO * np.expm1(np.linspace(0, W_MAX, N_W_CELLS + 1))[1:60]
+    once = once_scattered(eta, g, NORMAL, rho)
     with jax.enable_x64(True):
         light = np.asarray(first_order_rd(1.0, 0.0, g, eta, rho))
         total = float(first_order_total(1.0, 0.0, g, eta))
-    assert np.log(light * rho) + once.decay * rho == pytest.approx(once.log_light[1:60], abs=1e-11)
+    assert np.log(light * rho) + once.decay * rho == pytest.approx(np.log(once.light), abs=1e-11)
     assert once.total == pytest.approx(total, rel=1e-12)
 
 
@@ -71,3 +71,23 @@ def test_splines_go_through_their_values_and_on_as_cubics():
     middle = cells[:, 5] @ 0.5 ** np.arange(4)
     assert middle == pytest.approx(5.5**3 - 5 * 5.5)
     assert cells[0] == pytest.approx((knots**3 - 5 * knots)[:-1])
+
+
+@pytest.mark.parametrize("angle", [20, 45, 60, 80])
+def test_light_scattered_once_from_an_oblique_beam_adds_up(angle):
+    rho = np.geomspace(1e-7, 60, 20_001)
+    once = once_scattered(1.4, 0.8, Incidence(angle), rho)
+    curve = 2 * np.pi * once.light * np.exp(-once.decay * rho)
+    assert np.trapezoid(curve, rho) + curve[0] * rho[0] == pytest.approx(once.total, rel=1e-5)
+
+
+@pytest.mark.parametrize("across", [False, True])
+def test_an_oblique_beam_ends_in_a_normal_one(across):
+    rho = np.array([0.01, 1.0, 5.0])
+    normal, oblique = (once_scattered(1.4, 0.8, Incidence(angle, across), rho) for angle in (0.0, 0.5))
+    scale = np.exp(-(oblique.decay - normal.decay) * rho)
+    assert oblique.light * scale == pytest.approx(normal.light, rel=0.02)
+    totals = [
+        half_spaces(np.array([0.5, 0.99]), 0.8, 1.4, np.array([1.0]), sin_incidence=sine).total for sine in (0, 1e-4)
+    ]
+    assert totals[1] == pytest.approx(totals[0], rel=1e-6)

@@ -86,17 +86,37 @@ def half_space(albedo: float, g: float, eta: float, mu_out: Floats, n_half: int 
 
 
 @threadpool_limits.wrap(limits=1, user_api="blas")  # on two threads eigh takes twenty times the processor time
-def half_spaces(albedo: Floats, g: float, eta: float, mu_out: Floats, n_half: int = N_HALF) -> HalfSpaces:
-    """`half_space` of many albedos at once."""
+def half_spaces(
+    albedo: Floats, g: float, eta: float, mu_out: Floats, n_half: int = N_HALF, sin_incidence: float = 0.0
+) -> HalfSpaces:
+    """`half_space` of many albedos at once; radiance from an oblique beam is the mean over all azimuths."""
     mu, weight = _nodes(eta, n_half)
     reflected = _reflect_inside(eta, mu)
-    beam = np.zeros(mu.size)
-    beam[-1] = 1 / weight[-1]
+    beam = _beam(mu, weight, eta, sin_incidence)
     up = _upward(albedo, g, mu, weight, reflected, beam, n_half)
     total = up @ (weight * mu * (1 - reflected))
     seen = mu > np.sqrt(1 - 1 / eta**2)
     below = up[:, seen] @ _interpolation(mu[seen], np.sqrt(1 - (1 - mu_out**2) / eta**2)).T
     return HalfSpaces(total, transmittance(eta, mu_out) * below / (2 * eta**2))
+
+
+def _beam(mu: Floats, weight: Floats, eta: float, sin_incidence: float) -> Floats:
+    """Radiance down, at the nodes, that stands for a beam of unit flux at its cosine inside.
+
+    Between the nodes a beam is its Lagrange weights: what it gives is smooth in its cosine, so that this is exact to
+    the order of the quadrature.
+    """
+    beam = np.zeros(mu.size)
+    if sin_incidence == 0:
+        beam[-1] = 1 / weight[-1]
+        return beam
+    inside = np.sqrt(1 - (sin_incidence / eta) ** 2)
+    upper = np.flatnonzero(mu > np.sqrt(1 - 1 / eta**2))
+    nodes = mu[upper]
+    for at, node in zip(upper, nodes, strict=True):
+        others = nodes[nodes != node]
+        beam[at] = np.prod((inside - others) / (node - others)) / (weight[at] * inside)
+    return beam
 
 
 def _interpolation(nodes: Floats, at: Floats) -> Floats:

@@ -1,17 +1,18 @@
 """A forward model from a table's coefficients: the exact parts added, the curve scaled to its exact total.
 
-NumPy alone: `first_order` is `single.first_order_rd` of one medium, written once more for that reason.
+NumPy alone.
 """
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bssrdf.transport.discrete_ordinates import half_spaces
-from bssrdf.transport.exit_radiance import DEGREE, shape_basis, transmittance
+from bssrdf.transport.exit_radiance import DEGREE, shape_basis
+from bssrdf.transport.incidence import NORMAL, Incidence, once_scattered
 from bssrdf.transport.table_grid import (
     N_U_CELLS,
     N_V_CELLS,
@@ -35,32 +36,31 @@ Floats = NDArray[np.float64]
 
 _MU_FIT = np.cos(np.radians(np.linspace(0, 80, 17)))
 _QUADRATURE = np.polynomial.legendre.leggauss(6)
-_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(96)
-_THETA = np.pi / 2 * ((1 + _NODES) / 2) ** 3
-"""Outside exit angles, crowded at the normal as in `single`."""
-_D_THETA = np.pi / 2 * 3 * ((1 + _NODES) / 2) ** 2 * _WEIGHTS / 2
 
 
-def assemble(eta: float, g: float, log_curve: Floats, log_curve_sd: Floats, angles: Floats) -> TableModel:
+def assemble(
+    eta: float, g: float, log_curve: Floats, log_curve_sd: Floats, angles: Floats, beam: Incidence = NORMAL
+) -> TableModel:
     """The model of one (η, g); all arrays in double precision.
 
     Totals, decay and first order are computed for exactly this η and g, whatever the curve was interpolated from.
     """
     q = q_nodes()
     albedo = albedo_of(q, g)
-    exact = half_spaces(albedo[1:], g, eta, _MU_FIT)
+    exact = half_spaces(albedo[1:], g, eta, _MU_FIT, sin_incidence=beam.sine)
     total = np.append(1.0, exact.total)
-    once = first_order(eta, g)
+    once = once_scattered(eta, g, beam, RHO_ZERO * np.expm1(np.linspace(0, W_MAX, N_W_CELLS + 1)))
     kappa = kappa_reduced(q, g)
+    multiple = total - albedo * once.total
     integral = _integral(log_curve, kappa) * ((1 - q) * (1 + q)) ** 2
-    scale = np.log((total - albedo * once.total) / integral)
+    scale = np.zeros_like(q) if beam.across else np.log(multiple / integral)  # one side alone has no known integral
     shapes = _exit_shapes(eta, exact.radiance / exact.total[:, None])
     arrays: dict[str, Any] = {
         "log_curve": by_cell(log_curve + interpolating(scale, even=True)[:, None]),
         "log_curve_sd": log_curve_sd,
         "diffusion_ratio": by_cell(interpolating(_diffusion_ratio(kappa, q))),
         "log_total": by_cell(interpolating(-np.log(total / ((1 - q) * (1 + q))))),
-        "first": by_cell(interpolating(once.log_light)),
+        "first": by_cell(interpolating(np.log(once.light))),
         "angles": by_cell(np.swapaxes(angles, 1, 2)),
         "total_angles": by_cell(interpolating(np.concatenate([_at_conservative(shapes, q), shapes])).T),
     }
@@ -75,30 +75,6 @@ def _diffusion_ratio(kappa: Floats, q: Floats) -> Floats:
 def _at_conservative(values: Floats, q: Floats) -> Floats:
     """Values at q = 0 by a parabola through the next three, shape (1, …)."""
     return np.asarray(np.polynomial.polynomial.polyfit(q[1:4], values[:3], 2)[:1])
-
-
-class FirstOrder(NamedTuple):
-    """Light scattered once, per σs/σt; lengths in 1/σt."""
-
-    log_light: Floats
-    """ln(ρ R⁽¹⁾) + decay ρ at the knots in ρ."""
-    decay: float
-    """η + √(η² − 1): that of the light which leaves along the surface."""
-    total: float
-    """∫ 2πρ R⁽¹⁾ dρ."""
-
-
-def first_order(eta: float, g: float) -> FirstOrder:
-    """See `single.first_order_bin_average` for the equations."""
-    inside = np.sqrt((eta - 1) * (eta + 1) + np.cos(_THETA) ** 2) / eta
-    phase = (1 - g * g) / (4 * np.pi) * (1 + g * g + 2 * g * inside) ** -1.5
-    leaving = phase * transmittance(eta, np.cos(_THETA)) * np.cos(_THETA) * _D_THETA
-    decay = eta + np.sqrt(eta**2 - 1)
-    rho = RHO_ZERO * np.expm1(np.linspace(0, W_MAX, N_W_CELLS + 1))
-    excess = eta * (1 + inside) / np.sin(_THETA) - decay
-    light = np.exp(-excess * rho[:, None]) @ leaving / eta
-    total = 2 * np.pi * np.sum(leaving * np.sin(_THETA) / (1 + inside)) / eta**2
-    return FirstOrder(np.log(light), float(decay), float(total))
 
 
 def _integral(log_curve: Floats, kappa: Floats) -> Floats:

@@ -14,6 +14,7 @@ import numpy as np
 import platformdirs
 
 from bssrdf.errors import InputError
+from bssrdf.transport.incidence import NORMAL, Incidence
 from bssrdf.transport.parallel import Progress
 from bssrdf.transport.table_model import TableModel
 from bssrdf.transport.table_set import TableSet, read_tables, table_set, write_tables
@@ -69,14 +70,21 @@ def seconds_to_make(core_seconds: float = CORE_SECONDS) -> float:
     return core_seconds / (os.cpu_count() or 1) + 15
 
 
-def place(eta: float, g: float, *, directory: Path | None = None, core_seconds: float = CORE_SECONDS) -> Place:
+def place(
+    eta: float,
+    g: float,
+    *,
+    beam: Incidence = NORMAL,
+    directory: Path | None = None,
+    core_seconds: float = CORE_SECONDS,
+) -> Place:
     """Where the table of (eta, g) would come from, g drawn into G_RANGE; raises InputError for eta out of range."""
     _require("eta", eta, ETA_RANGE)
     within = min(max(g, G_RANGE[0]), G_RANGE[1])
-    if _shipped_set(eta, within) is not None:
+    if _shipped_set(eta, within, beam) is not None:
         origin: Origin = "shipped"
     else:
-        origin = "cached" if _path(eta, within, directory).exists() else "made"
+        origin = "cached" if _path(eta, within, beam, directory).exists() else "made"
     seconds = seconds_to_make(core_seconds) if origin == "made" else 0.0
     return Place(origin, eta, within, seconds, within != g)
 
@@ -99,6 +107,7 @@ def table_model(
     eta: float,
     g: float,
     *,
+    beam: Incidence = NORMAL,
     announce: Callable[[float], None] | None = None,
     progress: Progress | None = None,
     directory: Path | None = None,
@@ -107,14 +116,14 @@ def table_model(
     """The Monte Carlo model of (eta, g): interpolated from the shipped tables where they cover it, else its own.
 
     Its own is read from `directory` (default: `cache_directory()`), or made and kept there; `announce` is told before
-    about how many seconds that takes, and `progress` how far it is. Raises InputError out of range, and for a file in
-    the cache that is not a table.
+    about how many seconds that takes, and `progress` how far it is. An oblique `beam` has a table of its own. Raises
+    InputError out of range, and for a file in the cache that is not a table.
     """
     _require("eta", eta, ETA_RANGE)
     _require("g", g, G_RANGE)
-    if _shipped_set(eta, g) is not None:
+    if _shipped_set(eta, g, beam) is not None:
         return _interpolated(eta, g)
-    return _own(eta, g, announce, progress, directory, core_seconds)
+    return _own(eta, g, beam, announce, progress, directory, core_seconds)
 
 
 @functools.lru_cache(maxsize=32)
@@ -128,8 +137,10 @@ def _shipped_sets() -> tuple[TableSet, ...]:
     return (shipped(),)
 
 
-def _shipped_set(eta: float, g: float) -> TableSet | None:
-    """The finest shipped set that covers the medium."""
+def _shipped_set(eta: float, g: float, beam: Incidence = NORMAL) -> TableSet | None:
+    """The finest shipped set that covers the medium; all are for normal incidence."""
+    if beam.angle_deg != 0:
+        return None
     return next((tables for tables in _shipped_sets() if tables.covers(eta, g)), None)
 
 
@@ -138,8 +149,9 @@ def _packaged(name: str) -> TableSet:
         return read_tables(path)
 
 
-def _path(eta: float, g: float, directory: Path | None) -> Path:
-    return (directory or cache_directory()) / f"white-eta{eta!r}-g{g!r}.npz"
+def _path(eta: float, g: float, beam: Incidence, directory: Path | None) -> Path:
+    oblique = f"-at{beam.angle_deg!r}{'across' if beam.across else ''}" if beam.angle_deg else ""
+    return (directory or cache_directory()) / f"white-eta{eta!r}-g{g!r}{oblique}.npz"
 
 
 def _made(folder: Path) -> list[tuple[float, float]]:
@@ -151,25 +163,26 @@ def _made(folder: Path) -> list[tuple[float, float]]:
 def _own(
     eta: float,
     g: float,
+    beam: Incidence,
     announce: Callable[[float], None] | None,
     progress: Progress | None,
     directory: Path | None,
     core_seconds: float,
 ) -> TableModel:
-    path = _path(eta, g, directory)
+    path = _path(eta, g, beam, directory)
     if not path.exists():
         if announce is not None:
             announce(seconds_to_make(core_seconds))
         from bssrdf.transport.table_fit import fit_tables
         from bssrdf.transport.white_samples import sample
 
-        samples = sample(g, np.array([eta]), core_seconds, seed=SEED, progress=progress)
+        samples = sample(g, np.array([eta]), core_seconds, seed=SEED, beam=beam, progress=progress)
         path.parent.mkdir(parents=True, exist_ok=True)
-        write_tables(path, table_set({(g, eta): fit_tables(samples)[0]}))
-    tables = read_tables(path)
+        write_tables(path, table_set({(g, eta): fit_tables(samples)[0]}), beam)
+    tables = read_tables(path, beam)
     if not tables.covers(eta, g):
         raise InputError(f"{path}: holds the table of another medium; delete it and it is made again")
-    return tables.model(eta, g)
+    return tables.model(eta, g, beam)
 
 
 def _require(name: str, value: float, bounds: tuple[float, float]) -> None:

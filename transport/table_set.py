@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from bssrdf.errors import InputError
+from bssrdf.transport.incidence import NORMAL, Incidence
 from bssrdf.transport.table_assembly import assemble
 from bssrdf.transport.table_model import TableModel
 
@@ -42,7 +43,7 @@ class TableSet(NamedTuple):
         return bool(self.etas[0] <= eta <= self.etas[-1] and self.gs[0] <= g <= self.gs[-1])
 
     @threadpool_limits.wrap(limits=1, user_api="blas")
-    def model(self, eta: float, g: float) -> TableModel:
+    def model(self, eta: float, g: float, beam: Incidence = NORMAL) -> TableModel:
         """The model at (eta, g), by cubic interpolation of ln R; at a node it is that table itself."""
         if not self.covers(eta, g):
             raise InputError(
@@ -54,7 +55,7 @@ class TableSet(NamedTuple):
             np.tensordot(w, a, 2)
             for w, a in ((weights, self.log_curve), (np.abs(weights), self.log_curve_sd), (weights, self.angles))
         )
-        return assemble(eta, g, log_curve, sd, angles)
+        return assemble(eta, g, log_curve, sd, angles, beam)
 
 
 def lagrange(nodes: Floats, x: float) -> Floats:
@@ -78,14 +79,21 @@ def table_set(tables: dict[tuple[float, float], FittedTable]) -> TableSet:
     return TableSet(np.array(etas), np.array(gs), grid("log_curve"), grid("log_curve_sd"), grid("angles"))
 
 
-def write_tables(path: Path, tables: TableSet) -> None:
+def kind_of(beam: Incidence) -> str:
+    """What a file says it holds."""
+    if beam.angle_deg == 0:
+        return KIND
+    return f"{KIND} at {beam.angle_deg!r} degrees" + (" across" if beam.across else "")
+
+
+def write_tables(path: Path, tables: TableSet, beam: Incidence = NORMAL) -> None:
     """Write the tables in single precision; the file appears under its name only when it is whole."""
     arrays = {name: array.astype(np.float32) for name, array in tables._asdict().items()}
     arrays["etas"], arrays["gs"] = tables.etas, tables.gs
     part = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
         with part.open("wb") as file:
-            np.savez_compressed(file, format=FORMAT, kind=KIND, checksum=_checksum(arrays), **arrays)
+            np.savez_compressed(file, format=FORMAT, kind=kind_of(beam), checksum=_checksum(arrays), **arrays)
             file.flush()
             os.fsync(file.fileno())
         part.replace(path)
@@ -93,11 +101,11 @@ def write_tables(path: Path, tables: TableSet) -> None:
         part.unlink(missing_ok=True)
 
 
-def read_tables(path: Path) -> TableSet:
-    """Read what `write_tables` wrote; raises InputError for anything else."""
+def read_tables(path: Path, beam: Incidence = NORMAL) -> TableSet:
+    """Read what `write_tables` wrote for this beam; raises InputError for anything else."""
     try:
         with path.open("rb") as file:
-            arrays = _arrays(file)
+            arrays = _arrays(file, kind_of(beam))
     except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zipfile.LargeZipFile) as error:
         raise InputError(
             f"{path}: not a table of Monte Carlo light ({error}); delete it and it is made again"
@@ -105,9 +113,9 @@ def read_tables(path: Path) -> TableSet:
     return TableSet(**{name: array.astype(np.float64) for name, array in arrays.items()})
 
 
-def _arrays(file: IO[bytes]) -> dict[str, NDArray[np.generic]]:
+def _arrays(file: IO[bytes], kind: str) -> dict[str, NDArray[np.generic]]:
     with np.load(file, allow_pickle=False) as stored:
-        if str(stored["kind"]) != KIND:
+        if str(stored["kind"]) != kind:
             raise ValueError(f'kind "{stored["kind"]}"')
         if int(stored["format"]) != FORMAT:
             raise ValueError(f"format {stored['format']} instead of {FORMAT}")

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from bssrdf.transport.discrete_ordinates import decay_constant
 from bssrdf.transport.exit_radiance import N_MU
+from bssrdf.transport.incidence import NORMAL, Incidence
 from bssrdf.transport.parallel import Progress, run_all
 from bssrdf.transport.photon import stream_states
 from bssrdf.transport.table_grid import R_ZERO, V_MAX, albedo_of, q_nodes
@@ -69,6 +70,7 @@ class Walk:
     g: float
     etas: Floats
     group: int
+    beam: Incidence = NORMAL
 
     @property
     def q(self) -> Floats:
@@ -99,6 +101,8 @@ class Walk:
                 state,
                 self.g,
                 self.etas,
+                np.sin(np.radians(self.beam.angle_deg)) / self.etas,
+                self.beam.across,
                 albedos,
                 kappas,
                 FOLLOW_CONSERVATIVE * kappas[-1] if conservative else FOLLOW * kappas[0],
@@ -143,18 +147,20 @@ def sample(
     core_seconds: float,
     *,
     seed: int,
+    beam: Incidence = NORMAL,
     n_threads: int | None = None,
     progress: Progress | None = None,
 ) -> WhiteSamples:
     """Sample all groups for about `core_seconds` of processor time, shared equally among them.
 
-    A Ctrl-C raises KeyboardInterrupt: a table from a part would lack whole ranges of albedo.
+    An oblique `beam` takes one index, which bends it. A Ctrl-C raises KeyboardInterrupt: a table from a part would
+    lack whole ranges of albedo.
     """
     share = core_seconds / len(GROUPS) / N_BATCHES
     per_batch = np.maximum(1, share / seconds_per_photon(g, etas, seed)).astype(np.int64)
     stop = threading.Event()
     tasks = [
-        functools.partial(Walk(g, etas, group).batch, seed, 2 + index, int(per_batch[group]), stop)
+        functools.partial(Walk(g, etas, group, beam).batch, seed, 2 + index, int(per_batch[group]), stop)
         for index in range(N_BATCHES)
         for group in range(len(GROUPS))
     ]

@@ -57,6 +57,8 @@ def white_walk(
     state: State,
     g: float,
     etas: Floats,
+    sines: Floats,
+    across_beam: bool,
     albedos: Floats,
     kappas: Floats,
     follow: float,
@@ -72,6 +74,8 @@ def white_walk(
 ) -> int:
     """Follow n_photons, add their exits to the scores, and return the number of steps.
 
+    sines: (n_eta,), of the beam's angle inside; all 0, or a single index, since each bends the beam in its own way.
+    across_beam: the curve is scored as at a right angle to the plane of incidence, else as the mean over all azimuths.
     albedos, kappas: (n_a,), decay constants in 1/σt, the first the albedo whose light is sampled in proportion.
     follow: the decay [σt] that the photons' weights follow outwards.
     Radial bins are uniform in v = ln(1 + r/(r_unit r_zero)), bins_per_v of them a unit, r_unit the walk's 1/σt′.
@@ -105,8 +109,9 @@ def white_walk(
             by_jump[:] = row[8 + n_eta :]
         else:
             started += 1
-            x = y = z = ux = uy = 0.0
-            uz = weight = 1.0
+            x = y = z = uy = 0.0
+            ux, uz = sines[0], math.sqrt(1.0 - sines[0] * sines[0])
+            weight = 1.0
             n = 0
             by_index[:] = 1.0
             by_jump[:] = 1.0
@@ -125,6 +130,7 @@ def white_walk(
                 i = min(int(math.log1p(rho / (r_unit * r_zero)) * bins_per_v), n_r)
                 k = i // COARSE
                 sine = math.sqrt(ux * ux + uy * uy)
+                side = 1.0 + across_weight(x / max(rho, 1e-300)) if across_beam else 1.0
                 sideways = across_weight((x * ux + y * uy) / max(rho * sine, 1e-300))
                 for a in range(n_a):
                     surviving[a] = weight * by_jump[a] * math.exp(n * log_albedo[a])
@@ -140,7 +146,7 @@ def white_walk(
                             out = passed * surviving[a]
                             totals[min(n, 2) - 1, e, a] += out
                             if n > 1:
-                                curve[i, e, a] += out
+                                curve[i, e, a] += out * side
                                 if i < n_r:
                                     angles[k, e, a, m] += out
                                     across[k, e, a, m] += out * sideways
