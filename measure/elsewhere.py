@@ -36,7 +36,11 @@ def read_elsewhere(
             raise InputError(f"{frame.file}: is one of several images of the {kind}; leave one in frames.csv")
         radiance = read_linear_image(session.path / frame.file)
         _check_light_is_inside(frame, radiance)
-        layout = "rgb" if radiance.ndim == 3 else camera.layout or "mono"
+        layout = "rgb" if radiance.ndim == 3 else session.camera.layout or frame.card.layout or "mono"
+        if images and layout != camera.layout:
+            raise InputError(
+                f"{frame.file}: has the layout {layout}, the image before {camera.layout}; merge both alike"
+            )
         camera = replace(camera, layout=layout)
         images[kind] = _with_variance(radiance, mosaic_period(layout), rel_sd)
     return images, camera

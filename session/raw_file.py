@@ -65,12 +65,12 @@ def _check_pattern(path: Path, tags: Mapping[str, Any]) -> None:
 
 
 def _is_for_tiff(tags: Mapping[str, Any]) -> bool:
-    """Whether this is a DNG of colour planes, or one of a code that LibRaw does not know."""
+    """Whether this is a DNG of colour planes, of floats (LibRaw rounds them), or of a code that it does not know."""
     if "DNGVersion" not in tags:
         return False
     planes = tags.get("PhotometricInterpretation") == 34892 and tags.get("SamplesPerPixel", 1) > 1
-    integers = tags.get("SampleFormat") in (None, 1, (1,))
-    return bool(planes or (integers and tags.get("Compression") in _NOT_BY_LIBRAW))
+    floats = 3 in np.ravel(tags.get("SampleFormat", 1))
+    return bool(planes or floats or tags.get("Compression") in _NOT_BY_LIBRAW)
 
 
 def _quick_card(raw: Any, tags: Mapping[str, Any]) -> Card:

@@ -22,6 +22,7 @@ DN = RNG.integers(20, 4000, (12, 16)).astype(np.uint16)
 RGB = np.stack([DN, DN // 2, DN // 3], -1)
 FLOATS = RNG.random((12, 16, 3)).astype(np.float32)
 DNG = [(50706, "B", 4, bytes([1, 4, 0, 0]), True)]
+MOSAICS = ("deflate.dng", "float_cfa.dng")
 CFA = [(33421, "H", 2, (2, 2), True), (33422, "B", 4, bytes((0, 1, 1, 2)), True)]
 
 
@@ -127,6 +128,7 @@ def with_thumbnail(path: Path) -> None:
         ("linear.dng", tiff(RGB, photometric=34892, extratags=DNG), RGB),
         ("deflate.dng", tiff(DN, photometric=32803, compression="zlib", extratags=[*DNG, *CFA]), DN),
         ("a.exr", lambda path: exr(path, [("", ("R", "G", "B"), FLOATS)]), FLOATS),
+        ("float_cfa.dng", tiff(FLOATS[..., 0], photometric=32803, extratags=[*DNG, *CFA]), FLOATS[..., 0]),
     ],
 )
 def test_numbers_are_those_that_were_stored(
@@ -136,7 +138,7 @@ def test_numbers_are_those_that_were_stored(
     frame = read_frame_file(tmp_path / name)
     np.testing.assert_array_equal(frame.data, expected)
     assert (frame.card.height_px, frame.card.width_px) == expected.shape[:2]
-    assert frame.layout == ("rgb" if expected.ndim == 3 else "RGGB" if "deflate" in name else None)
+    assert frame.layout == ("rgb" if expected.ndim == 3 else "RGGB" if name in MOSAICS else None)
     assert read_card(tmp_path / name).card == frame.card
 
 

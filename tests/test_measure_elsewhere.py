@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,7 @@ from numpy.typing import NDArray
 from bssrdf.errors import InputError
 from bssrdf.measure.elsewhere import read_elsewhere
 from bssrdf.measure.merge import NO_DATA
-from bssrdf.session.records import Camera, Frame, Session
+from bssrdf.session.records import Camera, Card, Frame, Session
 
 Y, X = np.mgrid[:60, :80]
 SPOT = np.exp(-np.hypot(X - 40, Y - 30) / 4).astype(np.float32)
@@ -47,6 +48,19 @@ def test_data_window_that_cuts_the_spot_is_refused(tmp_path: Path, rows: slice, 
     write_window(tmp_path / "a.exr", SPOT, rows, columns)
     with pytest.raises(InputError, match=r"a\.exr: its data window cuts through the spot"):
         read_elsewhere(Session(tmp_path, Camera()), [Frame("a.exr", "sample_hdr", 1.0)])
+
+
+def test_layout_is_that_of_the_card_and_one_for_both(tmp_path: Path) -> None:
+    for name in ("a.exr", "b.exr"):
+        write_window(tmp_path / name, SPOT, slice(0, 60), slice(0, 80))
+    frames = [
+        Frame(f"{name}.exr", kind, 1.0, card=Card(layout="RGGB"))
+        for name, kind in (("a", "sample_hdr"), ("b", "reference_hdr"))
+    ]  # type: ignore[arg-type]
+    assert read_elsewhere(Session(tmp_path, Camera()), frames)[1].layout == "RGGB"
+    assert read_elsewhere(Session(tmp_path, Camera(layout="mono")), frames)[1].layout == "mono"
+    with pytest.raises(InputError, match=r"b\.exr: has the layout mono, the image before RGGB"):
+        read_elsewhere(Session(tmp_path, Camera()), [frames[0], replace(frames[1], card=Card())])
 
 
 def test_noise_estimate_of_a_steep_spot_is_never_below_zero(tmp_path: Path) -> None:
