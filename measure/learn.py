@@ -17,7 +17,7 @@ from bssrdf.calib.sensor import Sensor
 from bssrdf.measure.blunders import check_light
 from bssrdf.measure.bracket import Bracket
 from bssrdf.measure.correction import Correction
-from bssrdf.measure.first_look import GAIN_GUESS, MARGIN, first_guess
+from bssrdf.measure.first_look import MARGIN, first_guess
 from bssrdf.measure.levels import Level, beside, levels_of
 from bssrdf.measure.merge import Progress
 from bssrdf.measure.pixels import places
@@ -89,7 +89,7 @@ def learn_camera(brackets: Sequence[Bracket], camera: Camera, period: int, progr
     gain_rel_sd = np.nan
     if gain is None:
         estimate = _mean_gain(found.gains)
-        gain, gain_rel_sd = estimate or Gain(GAIN_GUESS / sensor.step_dn, np.nan)
+        gain, gain_rel_sd = estimate or Gain(sensor.gain_e_per_dn, np.nan)  # the first guess
         if estimate is None:
             flags.append("gain_unknown")
     read_noise_e = camera.read_noise_e

@@ -254,3 +254,15 @@ def test_a_real_bracket_from_folder_to_hdr_image(shared_data: Path, tmp_path: Pa
     parts, _ = read_hdr_exr(out / "measured" / "sample.exr")
     assert parts["radiance"].shape == (344, 408)
     assert np.isfinite(parts["radiance"]).mean() > 0.99
+
+
+@pytest.mark.parametrize("dtype", ["uint8", "int16", "uint32", "float32"])
+def test_frames_of_any_numbers_come_to_an_hdr_image_or_a_line(tmp_path: Path, dtype: str) -> None:
+    """One frame and a dark that equals it: hardly a bracket, but no bug of ours either."""
+    rng = np.random.default_rng(2)
+    values = rng.integers(20, 200, (48, 64)) if dtype != "float32" else rng.random((48, 64))
+    for kind in ("sample", "dark"):
+        (tmp_path / "in" / kind).mkdir(parents=True)
+        tifffile.imwrite(tmp_path / "in" / kind / "a_250ms.tif", values.astype(dtype))
+    assert run(cli, ["ingest", str(tmp_path / "in"), "--out", str(tmp_path / "s"), "--layout", "mono"]) == 0
+    assert run(cli, ["measure", str(tmp_path / "s"), "--hdr-only", "--quiet"]) in (0, 3)
