@@ -23,7 +23,7 @@ def write_hdr_exr(path: Path, parts: Mapping[str, NDArray[Any]], provenance: Map
 
     planes = [(name, np.atleast_3d(np.asarray(parts[name], np.float32))) for name in OUR_PARTS]
     with atomic_write(path) as unfinished:
-        write_exr(unfinished, planes, {_PROVENANCE: json.dumps(provenance)})
+        write_exr(unfinished, planes, {_PROVENANCE: json.dumps(provenance, default=float)})
 
 
 def read_hdr_exr(path: Path) -> tuple[dict[str, Plane], dict[str, Any]]:
