@@ -13,7 +13,7 @@ from bssrdf import __version__
 from bssrdf.cli_bench import bench
 from bssrdf.cli_calibrate import calibrate
 from bssrdf.cli_render import compare, doctor, render
-from bssrdf.console import BAD_INPUT, Group, is_quiet, keep_compiled, run, warn
+from bssrdf.console import BAD_INPUT, Group, is_quiet, run, warn
 from bssrdf.errors import BssrdfError, UsageError
 
 if TYPE_CHECKING:
@@ -288,10 +288,17 @@ def _slice_keys(command: Decorated) -> Decorated:
 @click.option("--fit-g", is_flag=True, help="Fit g as well, from the shape near the source.")
 @click.option("--joint", is_flag=True, help="Fit all inputs, of one material, together: one result.")
 @click.option("--robust", is_flag=True, help="Huber's loss, for dust and glare; the fit is flagged.")
+@click.option(
+    "--tables",
+    type=click.Choice(["make", "cached", "shipped"]),
+    default="make",
+    show_default=True,
+    help="Monte Carlo tables to use: any, made where none is at hand; those at hand; those that ship.",
+)
 @click.option("--explain", is_flag=True, help="Say how --model auto chooses.")
 @click.option("--json", "as_json", is_flag=True, help="One compact JSON object a line.")
 @click.option("--out", type=FILE, help="Write the fit here (one input).")
-@click.option("--strict", is_flag=True, help="Exit code 5 where a result is unidentifiable.")
+@click.option("--strict", is_flag=True, help="Exit code 5 where a result is unidentifiable or rejected.")
 @_force
 @_slice_keys
 def fit(
@@ -303,6 +310,7 @@ def fit(
     fit_g: bool,
     joint: bool,
     robust: bool,
+    tables: Any,
     explain: bool,
     as_json: bool,
     out: Path | None,
@@ -313,29 +321,32 @@ def fit(
     """Fit σa and σs′ to each slice; a session's fit is written to its fit.json."""
     if out is not None and len(inputs) > 1 and not joint:
         raise UsageError(f"--out takes one input, not {len(inputs)}; fit them one by one or --joint, or use --json")
-    if joint and (fit_g or len(inputs) < 2):
-        raise UsageError("--joint takes two inputs or more, and no --fit-g: give g by --g")
+    if joint and fit_g:
+        raise UsageError("--joint takes no --fit-g: give g by --g")
     if window_mm is not None and not 0 <= window_mm[0] < window_mm[1]:
         raise UsageError(f"--window-mm {window_mm[0]:g} {window_mm[1]:g} must be two radii, the smaller one first")
     target = out and _fresh(out, force)
 
-    keep_compiled()
+    from bssrdf.fit.models import Making
     from bssrdf.fit.run import FitOptions
     from bssrdf.report.fit_text import fit_text
     from bssrdf.session.fit_json import failure_line, fit_line
     from bssrdf.workflow import fit_files, fit_joint_files
 
     if explain:
-        from bssrdf.fit.choose import RULE
+        from bssrdf.fit.models import RULE
 
         click.echo(RULE, err=as_json)
-    options = FitOptions(model=model, constraint=constraint, scale=scale, window_mm=window_mm, robust=robust)
+    options = FitOptions(
+        model=model, constraint=constraint, scale=scale, window_mm=window_mm, robust=robust, tables=tables
+    )
     given = {name: value for name, value in keys.items() if value is not None}
     outcomes: list[Fit | BssrdfError]
+    making = Making(_announce, None if is_quiet() else _progress)
     if joint:
-        outcomes = [fit_joint_files(inputs, options, given, out=target, announce=_announce, warn=warn)]
+        outcomes = [fit_joint_files(inputs, options, given, out=target, making=making, warn=warn)]
     else:
-        outcomes = fit_files(inputs, options, given, out=target, with_g=fit_g, announce=_announce, warn=warn)
+        outcomes = fit_files(inputs, options, given, out=target, with_g=fit_g, making=making, warn=warn)
     code = 0
     for path, outcome in zip(inputs, outcomes, strict=not joint):
         if isinstance(outcome, BssrdfError):
@@ -343,13 +354,17 @@ def fit(
             click.echo(failure_line(path, outcome)) if as_json else warn(str(outcome))
             continue
         click.echo(fit_line(outcome) if as_json else fit_text(outcome))
-        if strict and any(channel.status == "unidentifiable" for channel in outcome.channels.values()):
+        if strict and any(channel.status in ("unidentifiable", "rejected") for channel in outcome.channels.values()):
             code = code or FLAGGED
     click.get_current_context().exit(code)
 
 
 def _announce(seconds: float) -> None:
     warn(f"no Monte Carlo table ships for this medium: one is made now, in about {seconds:.0f} s, and kept")
+
+
+def _progress(done: int, total: int) -> None:
+    click.echo(f"\rMonte Carlo table: {100 * done // max(total, 1)} %", nl=done >= total, err=True)
 
 
 @cli.command()

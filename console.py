@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import os
 import traceback
 from typing import Any
 
@@ -53,14 +52,6 @@ class Group(click.Group):
 def is_quiet() -> bool:
     """Whether --quiet was given, before or after the command."""
     return bool(click.get_current_context().find_root().ensure_object(dict).get("quiet"))
-
-
-def keep_compiled() -> None:
-    """Have JAX, not yet imported, keep what it compiles in the user's cache folder: the next process starts faster."""
-    from platformdirs import user_cache_path
-
-    os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(user_cache_path("bssrdf") / "jax"))
-    os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
 
 
 def warn(message: str) -> None:

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import bssrdf
 from bssrdf.errors import BssrdfError, InputError
-from bssrdf.fit.run import FitOptions, fit_slices
+from bssrdf.fit.models import Making
+from bssrdf.fit.run import SILENT, FitOptions, fit_slices
 from bssrdf.fit.setting import setting_flags
 from bssrdf.session.atomic import atomic_write, sha256_of
 from bssrdf.session.fit_json import read_fit, write_fit
@@ -36,19 +37,19 @@ def fit_files(
     *,
     out: Path | None = None,
     with_g: bool = False,
-    announce: Callable[[float], None] | None = None,
+    making: Making = SILENT,
     warn: Callable[[str], None] | None = None,
 ) -> list[Fit | BssrdfError]:
     """Fit sessions and slices in one batch; a session's fit is also written to its fit.json, or to `out`.
 
     `keys` are header keys of slice.csv that win over the file's; `with_g` fits g first, slice by slice. An input that
-    fails gives its error in its place, and the others are fitted all the same. `announce` is told the seconds that a
-    Monte Carlo table will take which has to be made; `warn` is told of units that look wrong.
+    fails gives its error in its place, and the others are fitted all the same. `making` is told of a
+    Monte Carlo table that has to be made; `warn` is told of units that look wrong.
     """
     read = [_caught(_read_with_g if with_g else _read, path, keys) for path in inputs]
     good = [(path, piece) for path, piece in zip(inputs, read, strict=True) if isinstance(piece, Slice)]
     _doubt(good, options, warn)
-    fitted = dict(zip((path for path, _ in good), _fit_all(good, options, announce), strict=True))
+    fitted = dict(zip((path for path, _ in good), _fit_all(good, options, making), strict=True))
     return [
         piece
         if isinstance(piece, BssrdfError)
@@ -63,15 +64,15 @@ def fit_joint_files(
     keys: Mapping[str, Any],
     *,
     out: Path | None = None,
-    announce: Callable[[float], None] | None = None,
+    making: Making = SILENT,
     warn: Callable[[str], None] | None = None,
 ) -> Fit:
     """One fit for sessions or slices of one material together, written to `out`; its options name every input."""
-    from bssrdf.fit.joint import fit_joint
+    from bssrdf.fit.run import fit_joint
 
     pieces = [_read(path, keys) for path in inputs]
     _doubt(list(zip(inputs, pieces, strict=True)), options, warn)
-    channels = fit_joint(pieces, options, announce=announce)
+    channels = fit_joint(pieces, options, making=making)
     for path in inputs:
         channels = _with_setting(path, channels)
     sources = [{"path": str(slice_file(path)), "sha256": sha256_of(slice_file(path))} for path in inputs]
@@ -142,11 +143,11 @@ def _session(path: Path) -> Session | None:
 
 
 def _fit_all(
-    pieces: Sequence[tuple[Path, Slice]], options: FitOptions, announce: Callable[[float], None] | None
+    pieces: Sequence[tuple[Path, Slice]], options: FitOptions, making: Making
 ) -> Sequence[dict[str, ChannelFit] | BssrdfError]:
     """All in one batch; where that is refused, one by one, to find whose fault it is."""
     try:
-        return fit_slices([piece for _, piece in pieces], options, announce=announce)
+        return fit_slices([piece for _, piece in pieces], options, making=making)
     except BssrdfError:
         return [_caught(_fit_one, path, piece, options) for path, piece in pieces]
 

@@ -11,29 +11,31 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Literal
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from bssrdf.bench.fit_peers import Answer, Problem, jaxopt_soft, scipy_exact, scipy_slsqp, scipy_soft, timed
-from bssrdf.fit.batch import run_padded
-from bssrdf.fit.choose import model_of
-from bssrdf.fit.curves import Curves, bucket_of
-from bssrdf.fit.kernel import Common, Constraint, Judged, Task, fit_batch
+from bssrdf.fit.batch import Job, Options, fit_group
+from bssrdf.fit.models import Making
+from bssrdf.fit.terms import Constraint
+from bssrdf.session.records import ChannelSlice, Slice
 from bssrdf.transport.dipole import Medium
-from bssrdf.transport.forward import DipoleModel
 from bssrdf.transport.inverse_total import absorption_ratio
+from bssrdf.transport.light import coefficients
 from bssrdf.transport.materials import CHANNELS, load_materials
 from bssrdf.transport.precision import scoped_x64
+from bssrdf.transport.table_cache import table_model
 
 ETA = 1.3
 N_RADII = 200
 BATCH = 1024
+ROWS = 256
 SLOW = 60
 """Curves that a method gets which fits them one by one."""
-OURS: tuple[tuple[str, Constraint], ...] = (
+OURS: tuple[tuple[Literal["dipole", "mc"], Constraint], ...] = (
     ("dipole", "exact"),
     ("dipole", "soft"),
     ("dipole", "none"),
@@ -41,18 +43,6 @@ OURS: tuple[tuple[str, Constraint], ...] = (
     ("mc", "soft"),
     ("mc", "none"),
 )
-
-
-class WholeDipole(DipoleModel):
-    """The dipole with all radii, each weighed by its own error alone, as the peers take them."""
-
-    @property
-    def relative_error(self) -> float:
-        return 0.0
-
-    @property
-    def window_mfp(self) -> tuple[float, float]:
-        return (0.0, float("inf"))
 
 
 @dataclass(frozen=True)
@@ -132,7 +122,7 @@ def _problem(batch: int) -> tuple[Problem, np.ndarray, np.ndarray]:
     which = np.arange(batch) % len(cells)
     sigma_a = np.array([cells[i].sigma_a for i in which], float)
     sigma_sp = np.array([cells[i].sigma_sp for i in which], float)
-    light = model_of("mc", ETA, 0.0)
+    light = table_model(ETA, 0.0)
     r_mm = np.linspace(1, 24, N_RADII) / (sigma_a + sigma_sp)[:, None]
     medium = Medium(jnp.asarray(sigma_a), jnp.asarray(sigma_sp), ETA)
     rd = np.asarray(jax.vmap(lambda a, sp, r: light.rd(Medium(a, sp, jnp.asarray(ETA)), r))(*medium[:2], r_mm))
@@ -147,42 +137,36 @@ def _first(problem: Problem, rows: int) -> Problem:
     return Problem(r_mm, rd, sd, total_r, total_r_sd, problem.eta)
 
 
-def _ours(name: str, constraint: Constraint, problem: Problem) -> Answer:
-    task = Task(
-        constraint,
-        scale_free=False,
-        binned=False,
-        errors_known=True,
-        blurred=False,
-        camera=False,
-        robust=False,
-    )
-    model = WholeDipole(jnp.asarray(ETA)) if name == "dipole" else model_of("mc", ETA, 0.0)
-    batch, n = problem.rd.shape
-    extra = ((0, 0), (0, bucket_of(n) - n))
-    r_mm, rd = (np.pad(each, extra, mode="edge") for each in (problem.r_mm, problem.rd))
-    columns: dict[str, Any] = {
-        "r_lo": r_mm,
-        "r_hi": r_mm,
-        "rd": rd,
-        "weight": np.pad(1 / problem.sd, extra),
-        "total_r": problem.total_r,
-        "total_r_sd": problem.total_r_sd,
-        "window": np.tile([0.0, np.inf], (batch, 1)),
-        "cos_view": np.ones(batch),
-        "arc": np.zeros_like(r_mm),
-        "spot_radius": np.zeros(batch),
-    }
-    data = Curves(**columns)
-    common = Common(data.total_r_sd, *np.zeros((2, batch)))
-    judged: list[Judged] = []
+def _ours(name: Literal["dipole", "mc"], constraint: Constraint, problem: Problem) -> Answer:
+    jobs = [
+        Job((_slice(*row, problem.eta),), "X")
+        for row in zip(problem.r_mm, problem.rd, problem.sd, problem.total_r, problem.total_r_sd, strict=True)
+    ]
+    options = Options(constraint, scale_free=False, robust=False, window_mm=None, tables="shipped")
+    found: list[np.ndarray] = []
 
     def run() -> np.ndarray:
-        judged[:] = [run_padded(lambda batch: fit_batch(task, model, *batch), (data, common))]
-        return np.asarray(judged[0].sigma_sp)
+        fitted = [fit_group(jobs[k : k + ROWS], options, name, Making()) for k in range(0, len(jobs), ROWS)]
+        points = [each.found.point for each in fitted]
+        found[:] = [np.concatenate([coefficients(p.log_sigma, p.q)[k][:, 0] for p in points]) for k in range(2)]
+        return found[1]
 
     _, seconds = timed(run)
-    return Answer(np.asarray(judged[0].sigma_a), np.asarray(judged[0].sigma_sp), seconds / batch)
+    return Answer(found[0], found[1], seconds / len(jobs))
+
+
+def _slice(r: np.ndarray, rd: np.ndarray, sd: np.ndarray, total_r: float, total_sd: float, eta: float) -> Slice:
+    return Slice(
+        channels={"X": ChannelSlice(r, rd, sd)},
+        eta=eta,
+        g=0.0,
+        flux="entering",
+        exit="hemisphere",
+        total_r={"X": float(total_r)},
+        total_r_sd={"X": float(total_sd)},
+        scale_rel_sd=0.0,
+        mm_rel_sd=0.0,
+    )
 
 
 def _score(name: str, answer: Answer, sigma_a: np.ndarray, sigma_sp: np.ndarray, optimum: Answer | None) -> Score:

@@ -1,106 +1,303 @@
-"""One batch: curves of one shape, one task and one medium's model go through the kernels, padded to a few sizes."""
+"""Problems of one kind, found and judged together: from slices to optima. Nothing here opens a file."""
 
 from __future__ import annotations
 
-import os
-from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
+import math
+from collections.abc import Sequence
 from typing import Any, Literal, NamedTuple
 
-import jax
 import numpy as np
+from numpy.typing import NDArray
 
-from bssrdf.fit.choose import model_of
-from bssrdf.fit.curves import Curves, stack
-from bssrdf.fit.intervals import Profile, profile_batch
-from bssrdf.fit.kernel import Common, Constraint, Judged, Task, fit_batch
-from bssrdf.fit.result import Job, factor_of, needs_profile
-from bssrdf.transport.forward import ForwardModel
-from bssrdf.transport.precision import scoped_x64
+from bssrdf.errors import InputError
+from bssrdf.fit.errors import Judged, judge
+from bssrdf.fit.layout import Curves, Row, Total, camera_factor, row_of, sight_of, stack
+from bssrdf.fit.models import Making, beside, table_of_medium
+from bssrdf.fit.solve import Solution, settle, starts
+from bssrdf.fit.terms import EXIT_MODES, TABLE_MODES, Constraint, Neighbours, Plan, Point, Problem, Sds, Shared, Source
+from bssrdf.session.records import Slice
+from bssrdf.transport.arrays import NUMPY
+from bssrdf.transport.light import Light, dipole
+from bssrdf.transport.table_cache import Policy
 
-CHUNKS = (4, 64)
-"""Rows that a kernel gets at once, padded, so that it is compiled for two shapes only. More would not fit the caches,
-and all rows of a chunk wait for its slowest."""
-BATCH = 1024
-"""Rows that are judged together."""
+BATCH = 256
+"""Rows that go through together: more would not fit the caches."""
+DISTINCT = 0.02
+"""In ln σt′ and ln q: rough optima nearer than this are one."""
+NEAR_BEST = 30.0
+"""Times the best rough misfit up to which another valley is followed to its end."""
+RIVAL = 4.0
+"""Of the cost, in the scatter's own variance: a second optimum this near the best is as good."""
 
 
-class Group(NamedTuple):
-    """What the curves of one batch have in common."""
+_BY_TILE: tuple[Source, ...] = ("scale", "length", "view")
+_OF_MEDIUM: tuple[Source, ...] = ("eta", "g")
 
-    task: Task
-    model: Literal["dipole", "mc"]
-    eta: float
-    g: float | None
-    width: int
+
+class Options(NamedTuple):
+    """What the caller asked for, as far as one problem is concerned."""
+
+    constraint: Constraint | None
+    scale_free: bool
+    robust: bool
+    window_mm: tuple[float, float] | None
+    tables: Policy
+
+
+class Job(NamedTuple):
+    """One channel of one slice, or of several that are fitted together."""
+
+    pieces: tuple[Slice, ...]
+    channel: str
 
 
 class Fitted(NamedTuple):
     """A batch with its results, rows in the order of `jobs`."""
 
-    group: Group
-    model: ForwardModel
     jobs: Sequence[Job]
-    data: Curves
+    options: Options
+    rows: Sequence[tuple[Row, ...]]
+    plan: Plan
+    model: Light
+    beside: Neighbours
+    data: Problem
+    found: Solution
     judged: Judged
-    profiles: dict[int, Profile]
+    rival: Point
+    """Another optimum that fits as well; NaN where there is none."""
 
 
-def fit_group(
-    group: Group, jobs: Sequence[Job], window_mm: tuple[float, float] | None, announce: Callable[[float], None] | None
-) -> Fitted:
-    """Fit at most BATCH jobs of one group."""
-    model = model_of(group.model, group.eta, group.g, announce)
-    data = stack([(job.piece, job.channel) for job in jobs], window_mm=window_mm)
-    judged: Judged = run_padded(lambda batch: fit_batch(group.task, model, *batch), (data, _common_errors(jobs)))
-    wanted = [row for row in range(len(jobs)) if needs_profile(group.task, pick(judged, row))]
-    found = _profiles(group.task, model, data, judged, jobs, wanted) if wanted else []
-    return Fitted(group, model, jobs, data, judged, dict(zip(wanted, found, strict=True)))
+def groups_of(jobs: Sequence[Job], options: Options) -> list[list[int]]:
+    """Places of the jobs that can share a batch."""
+    groups: dict[Any, list[int]] = {}
+    for at, job in enumerate(jobs):
+        groups.setdefault(_key(job, options), []).append(at)
+    return [places[k : k + BATCH] for places in groups.values() for k in range(0, len(places), BATCH)]
 
 
-def run_padded(kernel: Callable[[Any], Any], batch: Any) -> Any:
-    """The kernel's result for the rows of `batch`, by chunks on all processors; the last is padded with its last."""
-    rows = len(jax.tree.leaves(batch)[0])
-    size = next((size for size in CHUNKS if size >= rows), CHUNKS[-1])
-
-    @scoped_x64
-    def run(first: int) -> Any:
-        part = jax.tree.map(lambda x: np.asarray(x)[first : first + size], batch)
-        extra = size - len(jax.tree.leaves(part)[0])
-        if extra:
-            part = jax.tree.map(lambda x: np.concatenate([x, np.repeat(x[-1:], extra, axis=0)]), part)
-        return jax.tree.map(np.asarray, kernel(part))
-
-    with ThreadPoolExecutor(os.cpu_count()) as pool:
-        parts = list(pool.map(run, range(0, rows, size)))
-    return jax.tree.map(lambda *chunks: np.concatenate(chunks)[:rows], *parts)
+def _key(job: Job, options: Options) -> Any:
+    first = job.pieces[0]
+    seen = tuple((p.exit, p.flux, p.view_angle_deg, p.incidence_deg, p.azimuth) for p in job.pieces)
+    size = math.ceil(math.log2(max(len(p.channels[job.channel].r_mm) for p in job.pieces)))
+    binned = tuple(p.channels[job.channel].r_lo_mm is not None for p in job.pieces)
+    spot = tuple(p.spot_radius_mm is not None for p in job.pieces)
+    stated = tuple(_stated(piece) for piece in job.pieces)
+    return (first.eta, first.g, seen, binned, spot, stated, _sharing(job), _constraint(job, options.constraint), size)
 
 
-def pick(tree: Any, at: Any) -> Any:
-    """One row of a batch, or the rows that an array names."""
-    return jax.tree.map(lambda x: x[at], tree)
+def _stated(piece: Slice) -> tuple[bool, ...]:
+    lengths = (piece.scale_rel_sd, piece.mm_rel_sd, piece.spot_radius_sd_mm, piece.view_angle_sd_deg)
+    return tuple(bool(sd) for sd in (*lengths, piece.eta_sd, piece.g_sd))
 
 
-def _profiles(
-    task: Task, model: ForwardModel, data: Curves, judged: Judged, jobs: Sequence[Job], rows: Sequence[int]
-) -> list[Profile]:
-    """Profile likelihoods of some rows. An R without an error fixes q = 0; what bounds σa then is the curve alone."""
-    scale_sd = np.asarray([job.piece.scale_rel_sd or 0.0 for job in jobs])
-    data = data._replace(total_r_sd=np.hypot(data.total_r_sd, scale_sd * data.total_r))
-    constraint: Constraint = "none" if task.constraint == "exact" else task.constraint
-    inflation = np.ones(len(jobs)) if task.errors_known else judged.chi2
-    chosen = jax.tree.map(lambda x: x[np.asarray(rows)], (data, judged.solution, inflation))
-    found = run_padded(lambda batch: profile_batch(task._replace(constraint=constraint), model, *batch), chosen)
-    return [pick(found, at) for at in range(len(rows))]
+def _sharing(job: Job) -> tuple[int, ...]:
+    """For each slice the place of the first with the same `shared_errors`, else its own."""
+    ids = [piece.shared_errors for piece in job.pieces]
+    return tuple(ids.index(name) if name is not None else at for at, name in enumerate(ids))
 
 
-def _common_errors(jobs: Sequence[Job]) -> Common:
-    rows = [
-        (
-            job.piece.total_r_sd.get(job.channel, 0.0) / factor_of(job.piece),
-            job.piece.scale_rel_sd or 0.0,
-            job.piece.mm_rel_sd or 0.0,
-        )
-        for job in jobs
-    ]
-    return Common(*np.asarray(rows).T)
+def _constraint(job: Job, asked: Constraint | None) -> Constraint:
+    known = [job.channel in piece.total_r for piece in job.pieces]
+    with_sd = [piece.total_r_sd.get(job.channel, 0.0) > 0 for piece in job.pieces]
+    if asked in ("exact", "soft") and not any(known):
+        raise InputError(f"constraint {asked} needs total_r for channel {job.channel}: give it, or --constraint none")
+    if asked == "soft" and not any(with_sd):
+        raise InputError(f"constraint soft needs total_r_sd for channel {job.channel}: give it, or --constraint exact")
+    chosen = asked or ("none" if not any(known) else "soft" if any(with_sd) else "exact")
+    if chosen == "exact" and len(_totals(job, chosen)) > 1:
+        raise InputError(f"R of channel {job.channel} has no error: give total_r_sd to weigh it, or --constraint none")
+    return chosen
+
+
+def _totals(job: Job, constraint: Constraint) -> tuple[int, ...]:
+    """The slices whose R counts: one against the same tile with the same value counts once."""
+    chosen: dict[Any, int] = {}
+    if constraint == "none":
+        return ()
+    for at, piece in enumerate(job.pieces):
+        if job.channel not in piece.total_r:
+            continue
+        sd = piece.total_r_sd.get(job.channel, 0.0)
+        if constraint == "soft" and not sd > 0:
+            continue
+        own = (piece.shared_errors, piece.total_r[job.channel], sd) if piece.shared_errors else at
+        chosen.setdefault(own, at)
+    return tuple(chosen.values())
+
+
+def fit_group(jobs: Sequence[Job], options: Options, name: Literal["dipole", "mc"], making: Making) -> Fitted:
+    """Fit jobs of one key by one model."""
+    piece = jobs[0].pieces[0]
+    model = dipole(piece.eta) if name == "dipole" else table_of_medium(piece.eta, piece.g, options.tables, making)
+    aside = beside(name, piece.eta, piece.g)
+    rows = [tuple(row_of(piece, job.channel, options.window_mm) for piece in job.pieces) for job in jobs]
+    plan, data = problem_of(jobs, rows, options, model, aside)
+    found, rival = _best(plan, model, data, aside)
+    return Fitted(jobs, options, rows, plan, model, aside, data, found, judge(NUMPY, plan, model, data, found), rival)
+
+
+def problem_of(
+    jobs: Sequence[Job], rows: Sequence[tuple[Row, ...]], options: Options, model: Light, aside: Neighbours
+) -> tuple[Plan, Problem]:
+    """The terms of jobs of one key."""
+    first = jobs[0]
+    by_slice = list(zip(*rows, strict=True))
+    curves: list[Curves] = [stack(each) for each in by_slice]
+    pieces = first.pieces
+    sights = [sight_of(piece, each, c) for piece, each, c in zip(pieces, by_slice, curves, strict=True)]
+    if any(sight.blurred for sight in sights):  # a slice in parts is blurred as the whole is
+        sights = [
+            sight_of(piece, each, c, blurred=bool(c.spot_radius.any()))
+            for piece, each, c in zip(pieces, by_slice, curves, strict=True)
+        ]
+    constraint = _constraint(first, options.constraint)
+    sds = tuple(_sds([job.pieces[k] for job in jobs]) for k in range(len(pieces)))
+    totals = _totals(first, constraint)
+    plan = Plan(
+        constraint=constraint,
+        scale_free=options.scale_free,
+        robust=options.robust,
+        sights=tuple(sights),
+        totals=totals,
+        shared=_shared(first, sights, sds, curves, model, aside),
+    )
+    measured = tuple(
+        Total(*(np.array([[getattr(row[k], key)] for row in rows]) for key in ("total_r", "total_sd"))) for k in totals
+    )
+    return plan, Problem(tuple(curves), measured, sds, tuple(_factor_slopes(piece) for piece in pieces))
+
+
+def _sds(pieces: Sequence[Slice]) -> Sds:
+    def column(values: Sequence[float | None]) -> NDArray[np.float64]:
+        return np.array([[value or 0.0] for value in values])
+
+    return Sds(
+        scale=column([p.scale_rel_sd for p in pieces]),
+        length=column([p.mm_rel_sd for p in pieces]),
+        spot=column([(p.spot_radius_sd_mm or 0.0) / (p.spot_radius_mm or 1.0) for p in pieces]),
+        view=np.radians(column([p.view_angle_sd_deg for p in pieces])),
+        eta=column([p.eta_sd for p in pieces]),
+        g=column([p.g_sd for p in pieces]),
+    )
+
+
+def _shared(
+    job: Job, sights: Sequence[Any], sds: Sequence[Sds], curves: Sequence[Curves], model: Light, aside: Neighbours
+) -> tuple[Shared, ...]:
+    """The columns that the slices' stated errors and the model's own need."""
+    sharing = _sharing(job)
+    every = tuple(range(len(sights)))
+    found: list[Shared] = []
+
+    def touched(places: Sequence[int], source: str) -> tuple[int, ...]:
+        return tuple(k for k in places if getattr(sds[k], source).any())
+
+    for source in _BY_TILE:
+        for first in sorted(set(sharing)):
+            places = touched([k for k in every if sharing[k] == first], source)
+            if source == "view":
+                places = tuple(k for k in places if sights[k].camera)
+            if places:
+                found.append(Shared(source, places))
+    found += [Shared("spot", (k,)) for k in touched([k for k in every if sights[k].blurred], "spot")]
+    for source in _OF_MEDIUM:
+        if source in aside and touched(every, source):
+            found.append(Shared(source, every))
+    slanted = tuple(k for k in every if sights[k].camera and (curves[k].arc < 1.5).any())
+    if slanted and model.exit_error_mfp > 0:
+        found += [Shared("exit", slanted, mode) for mode in range(EXIT_MODES)]
+    if model.name == "mc":
+        found += [Shared("table", every, mode) for mode in range(TABLE_MODES)]
+    return tuple(found)
+
+
+def _factor_slopes(piece: Slice) -> tuple[float, float]:
+    """d ln of the convention's factor by view angle [1/rad] and by η, by differences."""
+    angle, eta = 0.1, 1e-3
+    by_view = 0.0
+    if piece.exit == "fresnel":
+        lo, hi = max(piece.view_angle_deg - angle, 0.0), min(piece.view_angle_deg + angle, 89.9)
+        ends = [math.log(camera_factor(piece, view_deg=each)) for each in (lo, hi)]
+        by_view = (ends[1] - ends[0]) / math.radians(hi - lo)
+    by_eta = [math.log(camera_factor(piece, eta=piece.eta + each)) for each in (-eta, eta)]
+    return by_view, (by_eta[1] - by_eta[0]) / (2 * eta)
+
+
+def _best(plan: Plan, model: Light, data: Problem, aside: Neighbours) -> tuple[Solution, Point]:
+    """The lowest of the optima reached from all starts, and one as good at another place."""
+    begun = starts(NUMPY, plan, model, data)
+    misfits = np.stack([np.where(np.isfinite(misfit), misfit, np.inf) for _, misfit in begun])
+    points = np.stack([np.concatenate(point, axis=1) for point, _ in begun])
+    b = misfits.shape[1]
+    order = np.argsort(misfits, axis=0, kind="stable")
+    rows = np.arange(b)
+    first = points[order[0], rows]
+    found = settle(NUMPY, plan, model, data, _point(first), aside)
+    rival = np.full((b, 3), np.nan)
+    for place in order[1:]:
+        other = points[place, rows]
+        apart = (np.abs(_logs(other) - _logs(first)) > DISTINCT).any(axis=1)
+        again = np.flatnonzero(apart & (misfits[place, rows] < NEAR_BEST * misfits[order[0], rows] + 10))
+        if not again.size:
+            continue
+        ended = settle(NUMPY, plan, model, picked(data, again), _point(other[again]), aside)
+        found, rival = _compared(model, data, found, ended, again, rival)
+    return found, _point(rival)
+
+
+def _compared(
+    model: Light, data: Problem, found: Solution, ended: Solution, again: NDArray[np.int_], rival: NDArray[np.float64]
+) -> tuple[Solution, NDArray[np.float64]]:
+    """The better of two optima of some rows, and the other as a rival where it is as good and elsewhere."""
+    rival = rival.copy()
+    ours, theirs = picked(found, again), ended
+    old, new = _score(model, picked(data, again), ours), _score(model, picked(data, again), theirs)
+    a, b = (np.concatenate(each.point, axis=1) for each in (ours, theirs))
+    apart = (np.abs(_logs(a) - _logs(b)) > DISTINCT).any(axis=1)
+    better = theirs.converged & (new < old - 1e-9)
+    scatter = np.maximum(np.minimum(ours.cost, theirs.cost) / np.maximum(_count(ours), 1), 1.0)
+    as_good = apart & ours.converged & theirs.converged & (np.abs(ours.cost - theirs.cost) < RIVAL * scatter)
+    rival[again[as_good]] = np.where(better[:, None], a, b)[as_good]
+    return replaced(found, again[better], picked(ended, np.flatnonzero(better))), rival
+
+
+def _score(model: Light, data: Problem, found: Solution) -> NDArray[np.float64]:
+    """Reduced cost; a table that has lost radii, which it never should, counts them as misfit."""
+    count = _count(found)
+    every = sum((c.known != 0).any(2).sum(1) for c in data.curves)
+    lost = (every / np.maximum(count, 1)) ** 2 if model.name == "mc" else 1.0
+    score: NDArray[np.float64] = np.where(count > 0, found.cost / np.maximum(count, 1) * lost, np.inf)
+    return score
+
+
+def _count(found: Solution) -> NDArray[np.float64]:
+    counted: NDArray[np.float64] = sum((mass > 0).sum(1) for mass in found.weights.mass).astype(float)
+    return counted
+
+
+def _logs(points: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.stack([points[:, 0], np.log(np.maximum(np.abs(points[:, 1]), 1e-3))], axis=1)
+
+
+def _point(values: NDArray[np.float64]) -> Point:
+    return Point(*(values[:, k : k + 1] for k in range(3)))
+
+
+def picked(tree: Any, rows: Any) -> Any:
+    """Some rows of a batch; what belongs to all of it stays."""
+    if isinstance(tree, tuple):
+        made = [picked(each, rows) for each in tree]
+        return type(tree)(*made) if hasattr(tree, "_fields") else tuple(made)
+    return tree[rows] if isinstance(tree, np.ndarray) else tree
+
+
+def replaced(tree: Any, rows: NDArray[np.int_], new: Any) -> Any:
+    """The batch with some rows from another."""
+    if isinstance(tree, tuple):
+        made = [replaced(old, rows, each) for old, each in zip(tree, new, strict=True)]
+        return type(tree)(*made) if hasattr(tree, "_fields") else tuple(made)
+    if not isinstance(tree, np.ndarray):
+        return tree
+    whole = tree.copy()
+    whole[rows] = new
+    return whole

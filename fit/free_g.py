@@ -9,11 +9,10 @@ from typing import NamedTuple
 import numpy as np
 
 from bssrdf.errors import InputError
-from bssrdf.fit.choose import Announce, tabulated
-from bssrdf.fit.model_error import chi2_by_g
-from bssrdf.fit.run import FitOptions, fit_batches
+from bssrdf.fit.batch import Job
+from bssrdf.fit.models import Making, tabulated
+from bssrdf.fit.run import SILENT, FitOptions, batches
 from bssrdf.session.records import Slice
-from bssrdf.transport.precision import scoped_x64
 
 GRID = (0.0, 0.35, 0.6, 0.75, 0.8, 0.9)
 
@@ -26,15 +25,18 @@ class FreeG(NamedTuple):
     """From the curvature of χ²; inf where the best g lies at an end of the grid."""
 
 
-@scoped_x64
-def fit_g(piece: Slice, options: FitOptions, *, announce: Announce | None = None) -> FreeG:
+@np.errstate(over="ignore", divide="ignore", invalid="ignore")
+def fit_g(piece: Slice, options: FitOptions, *, making: Making = SILENT) -> FreeG:
     """The g whose table fits all channels of the slice best; InputError where no table ships for its η."""
     if not tabulated(piece.eta, GRID[0]):
         raise InputError(f"eta = {piece.eta:g}: no Monte Carlo tables ship for it, so g cannot be fitted; give --g")
-    begin = replace(piece, g=GRID[2])
-    fitted = fit_batches([begin], replace(options, model="mc"), announce)
-    chi2 = sum((chi2_by_g(each, GRID).sum(axis=1) for each in fitted), np.zeros(len(GRID)))
+    chi2 = np.array([_cost(replace(piece, g=g), replace(options, model="mc"), making) for g in GRID])
     return _lowest(GRID, chi2)
+
+
+def _cost(piece: Slice, options: FitOptions, making: Making) -> float:
+    jobs = [Job((piece,), channel) for channel in piece.channels]
+    return float(sum(fitted.found.cost.sum() for _, fitted in batches(jobs, options, making)))
 
 
 def _lowest(gs: Sequence[float], chi2: np.ndarray) -> FreeG:

@@ -6,81 +6,79 @@ of χ² with one degree of freedom: 2.71 for a one-sided bound, 3.84 for each en
 
 from __future__ import annotations
 
-from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
-import jax
-import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+import numpy as np
+from numpy.typing import NDArray
 
-from bssrdf.fit import gauss_newton
-from bssrdf.fit.curves import Curves
-from bssrdf.fit.kernel import Solution, Task, coefficients, residual
-from bssrdf.fit.predict import Parameters, Scalar
-from bssrdf.transport.forward import ForwardModel
+from bssrdf.fit.solve import REST, Solution, optimise
+from bssrdf.fit.terms import Plan, Problem
+from bssrdf.transport.arrays import NUMPY
+from bssrdf.transport.light import Light, coefficients
 
+Floats = NDArray[np.float64]
 ONE_SIDED = 2.706
 TWO_SIDED = 3.841
-HALVINGS = 30
 FLOOR_Q = 1e-6
+CLOSE = 1e-6
+"""In ln q, where a bound has been found."""
+PROBES = 60
 
 
 class Profile(NamedTuple):
-    """σa and σs′ at the best q ≥ 0 and the σa at which the bounds lie; inf where the cost never rises enough."""
+    """σa and σs′ at the best q ≥ 0 and the σa at which the bounds lie, (b,); inf where the cost never rises enough."""
 
-    sigma_a: Scalar
-    sigma_sp: Scalar
-    lower: Scalar
-    upper: Scalar
+    sigma_a: Floats
+    sigma_sp: Floats
+    lower: Floats
+    upper: Floats
 
 
-def profile(task: Task, model: ForwardModel, data: Curves, solution: Solution, inflation: Scalar) -> Profile:
-    """Bounds of σa for one curve; `inflation` multiplies the variances where the data's own errors are unknown."""
+def profile(plan: Plan, model: Light, data: Problem, found: Solution, inflation: Floats) -> Profile:
+    """Bounds of σa; `inflation` multiplies the variances. An R without an error fixes q = 0: then the curve alone
+    bounds σa."""
+    plan = plan._replace(constraint="none") if plan.constraint == "exact" else plan
 
-    def held(q: Scalar) -> tuple[Scalar, Float[Array, " 2"]]:
+    def held(q: Floats) -> tuple[Floats, Floats, Floats]:
         """Cost and coefficients with this q and everything else at its best."""
+        begin = found.point._replace(q=q)
+        rest = optimise(
+            NUMPY, plan, model, data, found.laid, begin, 10 * REST, relay=False, weights=found.weights, held_q=True
+        )
+        sigma_a, sigma_sp = coefficients(rest.point.log_sigma, q)
+        return rest.cost / inflation, sigma_a[:, 0], sigma_sp[:, 0]
 
-        def linearise(free: Float[Array, " p"]) -> tuple[Float[Array, " m"], Float[Array, "p m"]]:
-            scale = free[1] if task.scale_free else solution.point.log_scale
-            there = residual(task, model, data, solution._replace(point=Parameters(free[0], q, scale)))
-            others = [row for row in range(there.by_free.shape[0]) if row != 1]
-            return there.value, there.by_free[jnp.asarray(others)]
+    best_q = np.maximum(found.point.q, FLOOR_Q)
+    lowest, sigma_a, sigma_sp = held(best_q)
 
-        start = [solution.point.log_sigma_tp] + ([solution.point.log_scale] if task.scale_free else [])
-        free, _ = gauss_newton.minimise(linearise, jnp.stack(start))
-        rest = linearise(free)[0]
-        return rest @ rest / inflation, coefficients(jnp.stack([free[0], q]))
-
-    best_q = jnp.maximum(solution.point.q, FLOOR_Q)
-    lowest, best = held(best_q)
-
-    def bound(rise: Scalar, edge: Scalar) -> tuple[Scalar, Bool[Array, ""]]:
+    def bound(rise: float, edge: float) -> tuple[Floats, Any]:
         """σa where the cost has risen by `rise` on the way to q = `edge`, and whether it has risen so much there."""
+        near, far = np.log(best_q), np.full_like(best_q, np.log(edge))
+        near_rise = np.full_like(lowest, -rise)
+        far_rise = held(np.exp(far))[0] - lowest - rise
+        crossed = far_rise >= 0
+        at = held(np.exp(far))[1]
+        for _ in range(PROBES):  # Illinois: a secant that never keeps an end for long
+            slope = np.where(far_rise != near_rise, far_rise - near_rise, 1.0)
+            middle = near - near_rise[:, None] * (far - near) / slope[:, None]
+            middle = np.where(np.isfinite(middle), middle, (near + far) / 2)
+            cost, at, _ = held(np.exp(middle))
+            here = cost - lowest - rise
+            below = here < 0
+            far_rise = np.where(below, far_rise / 2, here)
+            near_rise = np.where(below, here, near_rise / 2)
+            near, far = np.where(below[:, None], middle, near), np.where(below[:, None], far, middle)
+            if np.all((np.abs(here) < CLOSE) | (np.abs(far - near)[:, 0] < CLOSE) | ~crossed):
+                break
+        return at, crossed
 
-        def halve(_: int, ends: tuple[Scalar, Scalar]) -> tuple[Scalar, Scalar]:
-            below, above = ends
-            middle = (below + above) / 2
-            is_below = held(jnp.exp(middle))[0] < lowest + rise
-            return jnp.where(is_below, middle, below), jnp.where(is_below, above, middle)
-
-        _, above = jax.lax.fori_loop(0, HALVINGS, halve, (jnp.log(best_q), jnp.log(edge)))
-        cost, (sigma_a, _) = held(jnp.exp(above))
-        return sigma_a, cost >= lowest + rise
-
-    rises = jnp.asarray([TWO_SIDED, TWO_SIDED, ONE_SIDED], best_q.dtype)
-    edges = jnp.asarray([FLOOR_Q, model.q_max, model.q_max], best_q.dtype)
-    crossed_at, crossed = jax.vmap(bound)(rises, edges)
-    above_zero = crossed[0] & (solution.point.q > FLOOR_Q)
-    end = jnp.where(above_zero, 1, 2)
+    lower, two_sided = bound(TWO_SIDED, FLOOR_Q)
+    upper, ends = bound(TWO_SIDED, model.q_max)
+    one_sided, one_ends = bound(ONE_SIDED, model.q_max)
+    above = two_sided & (found.point.q[:, 0] > FLOOR_Q)
     return Profile(
-        sigma_a=jnp.where(solution.point.q > FLOOR_Q, best[0], 0),
-        sigma_sp=best[1],
-        lower=jnp.where(above_zero, crossed_at[0], 0),
-        upper=jnp.where(crossed[end], crossed_at[end], jnp.inf),
+        sigma_a=np.where(found.point.q[:, 0] > FLOOR_Q, sigma_a, 0.0),
+        sigma_sp=sigma_sp,
+        lower=np.where(above, lower, 0.0),
+        upper=np.where(above, np.where(ends, upper, np.inf), np.where(one_ends, one_sided, np.inf)),
     )
-
-
-@partial(jax.jit, static_argnums=0)
-def profile_batch(task: Task, model: ForwardModel, data: Curves, solution: Solution, inflation: Scalar) -> Profile:
-    """`profile` of every curve of a batch."""
-    return jax.vmap(partial(profile, task, model))(data, solution, inflation)

@@ -1,29 +1,40 @@
-"""Fit slices: group their channels into batches of one shape, choose the model, and judge what comes back."""
+"""Fit slices: choose the model, ask what else would fit, and report each channel."""
 
 from __future__ import annotations
 
-from collections import defaultdict
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 
 from bssrdf.errors import InputError
-from bssrdf.fit.batch import BATCH, Fitted, Group, fit_group, pick
-from bssrdf.fit.choose import Announce, ModelName, tabulated
-from bssrdf.fit.curves import bucket_of
-from bssrdf.fit.kernel import Constraint, Task
-from bssrdf.fit.model_error import chi2_by_g, model_errors, sensitivities
-from bssrdf.fit.result import Job, channel_fit
-from bssrdf.fit.spot import matters
+from bssrdf.fit.batch import Fitted, Job, Options, fit_group, groups_of, picked
+from bssrdf.fit.intervals import Profile, profile
+from bssrdf.fit.models import (
+    ASSUMED_G,
+    DIPOLE_SHARE,
+    Making,
+    ModelName,
+    Truth,
+    has_table,
+    shipped_table,
+    table_of_medium,
+    tabulated,
+    truth_of,
+)
+from bssrdf.fit.neighbours import bias, refitted, sensitivities, table_error, to_log
+from bssrdf.fit.terms import Constraint
+from bssrdf.fit.verdict import FEWEST, POOR_CHI2, Extra, channel_fits, covariances, inflation, needs_profile
 from bssrdf.session.records import ChannelFit, Slice
-from bssrdf.transport.precision import scoped_x64
+from bssrdf.transport.light import Light, Table, coefficients, dipole
+from bssrdf.transport.table_cache import Policy
 
 OTHER_G = (0.0, 0.35, 0.6, 0.8, 0.9)
-"""Tried where a curve does not fit: does another g?"""
-MUCH_BETTER = 0.3
-"""Of χ²: below this share another g is more likely than the one given."""
+ETA_AWAY = 0.1
+"""Tried where a curve does not fit: does another g or η?"""
+MUCH_BETTER = 0.5
+"""Of χ²: below this share another g or η is more likely than the one given."""
 
 
 @dataclass(frozen=True)
@@ -37,25 +48,31 @@ class FitOptions:
     window_mm: tuple[float, float] | None = None
     robust: bool = False
     """Huber's loss in place of squares; the fit is flagged."""
+    tables: Policy = "make"
+    """Which Monte Carlo tables may be used: all, those at hand, or those that ship."""
+
+    @property
+    def of_problem(self) -> Options:
+        """What concerns one problem."""
+        return Options(self.constraint, self.scale == "free", self.robust, self.window_mm, self.tables)
 
 
 DEFAULT = FitOptions()
+SILENT = Making()
 
 
-@scoped_x64
 def fit_slices(
-    slices: Sequence[Slice], options: FitOptions = DEFAULT, *, announce: Announce | None = None
+    slices: Sequence[Slice], options: FitOptions = DEFAULT, *, making: Making = SILENT
 ) -> list[dict[str, ChannelFit]]:
     """Fit every channel of every slice.
 
     Returns, in order, a `ChannelFit` by channel for each slice. A fit that fails says so in its `status` and `flags`;
-    raises InputError where the options ask for what a slice does not hold. `announce` is told the seconds that a table
-    will take which has to be made first.
+    raises InputError where the options ask for what a slice does not hold. `making` is told of a table that has to be
+    made first.
     """
-    fits: dict[tuple[int, str], ChannelFit] = {}
-    for fitted in fit_batches(slices, options, announce):
-        fits |= {(job.at, job.channel): result for job, result in zip(fitted.jobs, _results(fitted), strict=True)}
-    return [{channel: fits[at, channel] for channel in piece.channels} for at, piece in enumerate(slices)]
+    jobs = [Job((piece,), channel) for piece in slices for channel in piece.channels]
+    fits = iter(_fit_jobs(jobs, options, making))
+    return [{channel: next(fits) for channel in piece.channels} for piece in slices]
 
 
 def fit_slice(piece: Slice, options: FitOptions = DEFAULT) -> dict[str, ChannelFit]:
@@ -63,91 +80,141 @@ def fit_slice(piece: Slice, options: FitOptions = DEFAULT) -> dict[str, ChannelF
     return fit_slices([piece], options)[0]
 
 
-def fit_batches(slices: Sequence[Slice], options: FitOptions, announce: Announce | None) -> Iterator[Fitted]:
-    """Batches by the model asked for; with auto the dipole's, less those that the table fits better."""
-    jobs = [Job(at, piece, channel) for at, piece in enumerate(slices) for channel in piece.channels]
-    if options.model != "auto":
-        yield from _batches(jobs, options.model, options, announce)
-        return
-    rest: list[Job] = []
-    for fitted in _batches(jobs, "dipole", options, announce):
-        good = [_dipole_will_do(fitted, row, error) for row, error in enumerate(model_errors(fitted))]
-        rest += [job for job, keep in zip(fitted.jobs, good, strict=True) if not keep]
-        yield _subset(fitted, [row for row, keep in enumerate(good) if keep])
-    yield from _batches(rest, "mc", options, announce)
+def fit_joint(
+    slices: Sequence[Slice], options: FitOptions = DEFAULT, *, making: Making = SILENT
+) -> dict[str, ChannelFit]:
+    """One fit by channel for all slices: σa and σs′ in common, and the errors of those with the same `shared_errors`.
+
+    Raises InputError where they are not of one medium or cannot be joined.
+    """
+    first = slices[0]
+    for piece in slices[1:]:
+        for key in ("eta", "g"):
+            ours, other = getattr(first, key), getattr(piece, key)
+            if ours != other:
+                raise InputError(f"{key} = {ours} in one slice and {other} in another: join slices of one medium only")
+    if options.scale == "free" and len(slices) > 1:
+        raise InputError("scale free leaves each slice its own factor: fit such slices one by one")
+    shared = [name for name in first.channels if all(name in piece.channels for piece in slices)]
+    if not shared:
+        raise InputError("the slices have no channel in common: give slices with the same channel names")
+    fits = _fit_jobs([Job(tuple(slices), name) for name in shared], options, making)
+    return dict(zip(shared, fits, strict=True))
 
 
-def _dipole_will_do(fitted: Fitted, row: int, error: dict[str, float]) -> bool:
-    """The rule of `choose.RULE`; where no table ships the dipole is taken, and flagged."""
-    if not tabulated(fitted.group.eta, fitted.group.g):
-        return True
-    judged = pick(fitted.judged, row)
-    sd_a, sd_sp = judged.sigma_a_sd / judged.sigma_a, judged.sigma_sp_sd / judged.sigma_sp
-    return bool(error["sigma_a"] < sd_a and error["sigma_sp"] < sd_sp)
+@np.errstate(over="ignore", divide="ignore", invalid="ignore")  # what is not finite is found in the result
+def _fit_jobs(jobs: Sequence[Job], options: FitOptions, making: Making) -> list[ChannelFit]:
+    fits: dict[int, ChannelFit] = {}
+    for places, fitted in batches(jobs, options, making):
+        fits |= dict(zip(places, channel_fits(fitted, extra_of(fitted, making)), strict=True))
+    return [fits[at] for at in range(len(jobs))]
 
 
-def _subset(fitted: Fitted, rows: list[int]) -> Fitted:
-    at = np.asarray(rows, int)
+def batches(jobs: Sequence[Job], options: FitOptions, making: Making) -> Iterator[tuple[list[int], Fitted]]:
+    """Batches with the places of their jobs, by the model asked for; with auto the dipole where it will do."""
+    for places in groups_of(jobs, options.of_problem):
+        members, piece = [jobs[at] for at in places], jobs[places[0]].pieces[0]
+        if options.model != "auto":
+            yield places, fit_group(members, options.of_problem, options.model, making)
+            continue
+        first = fit_group(members, options.of_problem, "dipole", making)
+        keep = np.ones(len(places), bool)
+        if has_table(piece.eta, piece.g, options.tables):
+            keep = _dipole_will_do(first, making)
+        if keep.any():
+            yield [at for at, kept in zip(places, keep, strict=True) if kept], _subset(first, np.flatnonzero(keep))
+        rest = np.flatnonzero(~keep)
+        if rest.size:
+            again = fit_group([members[row] for row in rest], options.of_problem, "mc", making)
+            yield [places[row] for row in rest], again
+
+
+def _dipole_will_do(fitted: Fitted, making: Making) -> np.ndarray:
+    """The rule of `models.RULE`."""
+    piece = fitted.jobs[0].pieces[0]
+    table = table_of_medium(piece.eta, piece.g, fitted.options.tables, making)
+    error = bias(fitted.plan, Truth(dipole(piece.eta), table, own=True), fitted.data, fitted.found).error
+    turn = to_log(fitted.found.point.q)
+    sd = np.sqrt(np.maximum(np.einsum("bij,bjk,bik->bi", turn, covariances(fitted), turn), 0.0))
+    good: np.ndarray = (error < DIPOLE_SHARE * sd).all(axis=1) & fitted.found.converged
+    return good
+
+
+def _subset(fitted: Fitted, rows: np.ndarray) -> Fitted:
+    judged = fitted.judged
     return fitted._replace(
         jobs=[fitted.jobs[row] for row in rows],
-        data=pick(fitted.data, at),
-        judged=pick(fitted.judged, at),
-        profiles={new: fitted.profiles[old] for new, old in enumerate(rows) if old in fitted.profiles},
+        rows=[fitted.rows[row] for row in rows],
+        data=picked(fitted.data, rows),
+        found=picked(fitted.found, rows),
+        judged=picked(judged._replace(sources={}), rows)._replace(
+            sources={name: each[rows] for name, each in judged.sources.items()}
+        ),
+        rival=picked(fitted.rival, rows),
     )
 
 
-def _batches(
-    jobs: Sequence[Job], model: Literal["dipole", "mc"], options: FitOptions, announce: Announce | None
-) -> Iterator[Fitted]:
-    groups: dict[Group, list[Job]] = defaultdict(list)
-    for job in jobs:
-        width = bucket_of(len(job.piece.channels[job.channel].r_mm))
-        groups[Group(_task(job, options), model, job.piece.eta, job.piece.g, width)].append(job)
-    for group, members in groups.items():
-        for first in range(0, len(members), BATCH):
-            yield fit_group(group, members[first : first + BATCH], options.window_mm, announce)
+def extra_of(fitted: Fitted, making: Making) -> Extra:
+    """What further models say of a batch."""
+    extra = Extra(_profiles(fitted), [{}] * len(fitted.jobs), _slopes(fitted), _others(fitted), None, True)
+    if isinstance(fitted.model, Table):
+        error = table_error(fitted.plan, fitted.model, fitted.data, fitted.found, fitted.judged)
+        return extra._replace(model_error=_by_name(error))
+    piece = fitted.jobs[0].pieces[0]
+    truth = truth_of(piece.eta, piece.g, fitted.options.tables, making)
+    if truth is None:
+        return extra._replace(checked=False)
+    found = bias(fitted.plan, truth, fitted.data, fitted.found)
+    return extra._replace(model_error=_by_name(found.error), bias=found, checked=truth.own)
 
 
-def _results(fitted: Fitted) -> list[ChannelFit]:
-    if not fitted.jobs:
-        return []
-    errors, slopes = model_errors(fitted), sensitivities(fitted)
-    results = [
-        channel_fit(fitted.group, job, pick(fitted.judged, row), fitted.profiles.get(row), errors[row], slopes[row])
-        for row, job in enumerate(fitted.jobs)
-    ]
-    poor = [row for row, result in enumerate(results) if "poor_fit" in result.flags]
-    if fitted.group.model == "mc" and poor and tabulated(fitted.group.eta, fitted.group.g):
-        own = fitted.judged.chi2 * fitted.judged.solution.counts.sum(axis=1)
-        better = chi2_by_g(fitted, OTHER_G).min(axis=0) < MUCH_BETTER * own
-        for row in poor:
-            if better[row]:
-                results[row] = replace(results[row], flags=(*results[row].flags, "g_suspect"))
-    return results
+def _by_name(error: np.ndarray) -> list[dict[str, float]]:
+    return [{"sigma_a": float(a), "sigma_sp": float(sp)} for a, sp in error]
 
 
-def _task(job: Job, options: FitOptions) -> Task:
-    channel = job.piece.channels[job.channel]
-    known = bool(np.all(channel.sd_per_mm2 > 0))
-    relative_sd = (
-        float(np.median(channel.sd_per_mm2 / np.maximum(np.abs(channel.rd_per_mm2), 1e-300))) if known else 0.01
-    )
-    return Task(
-        constraint=_constraint(job, options.constraint),
-        scale_free=options.scale == "free",
-        binned=channel.r_lo_mm is not None,
-        errors_known=known,
-        blurred=matters(job.piece.spot_radius_mm or 0.0, channel.r_mm, relative_sd),
-        camera=job.piece.exit == "fresnel",
-        robust=options.robust,
-    )
+def _profiles(fitted: Fitted) -> dict[int, Profile]:
+    wanted = np.flatnonzero(needs_profile(fitted) & fitted.found.converged & (fitted.judged.n >= FEWEST))
+    if not wanted.size:
+        return {}
+    part = _subset(fitted, wanted)
+    known = np.all([c.errors_known[:, 0] for c in part.data.curves], axis=0)
+    grown = np.where(known, inflation(part), np.maximum(part.judged.chi2, 1e-300))
+    found = profile(part.plan, part.model, part.data, part.found, grown)
+    return {int(row): Profile(*(each[at : at + 1] for each in found)) for at, row in enumerate(wanted)}
 
 
-def _constraint(job: Job, asked: Constraint | None) -> Constraint:
-    known = job.channel in job.piece.total_r
-    sd = job.piece.total_r_sd.get(job.channel, 0.0)
-    if asked in ("exact", "soft") and not known:
-        raise InputError(f"constraint {asked} needs total_r for channel {job.channel}: give it, or --constraint none")
-    if asked == "soft" and not sd > 0:
-        raise InputError(f"constraint soft needs total_r_sd for channel {job.channel}: give it, or --constraint exact")
-    return asked or ("none" if not known else "soft" if sd > 0 else "exact")
+def _slopes(fitted: Fitted) -> list[dict[str, float]]:
+    found = sensitivities(fitted.plan, fitted.model, fitted.data, fitted.found, fitted.judged, fitted.beside)
+    return [{key: float(each[row]) for key, each in found.items()} for row in range(len(fitted.jobs))]
+
+
+def _others(fitted: Fitted) -> list[tuple[str, ...]]:
+    """Flags of rows whose curve does not fit here and far better under another g or η, with other coefficients."""
+    raised: list[tuple[str, ...]] = [() for _ in fitted.jobs]
+    poor = np.flatnonzero((fitted.judged.chi2 > POOR_CHI2) & fitted.found.converged)
+    piece = fitted.jobs[0].pieces[0]
+    if not poor.size or fitted.model.name != "mc":
+        return raised
+    part = _subset(fitted, poor)
+    g = ASSUMED_G if piece.g is None else piece.g
+    nodes = [("g", piece.eta, other) for other in OTHER_G if abs(other - g) > 0.05]
+    nodes += [("eta", piece.eta + step, g) for step in (-ETA_AWAY, ETA_AWAY)]
+    for key, eta, other in nodes:
+        if tabulated(eta, other):
+            for at, row in enumerate(poor):
+                if _fits_better(part, shipped_table(eta, other), at):
+                    raised[row] = tuple(dict.fromkeys((*raised[row], f"{key}_suspect")))
+    return raised
+
+
+def _fits_better(part: Fitted, other: Light, at: int) -> bool:
+    rows = np.array([at])
+    data, found = picked(part.data, rows), picked(part.found, rows)
+    again = refitted(part.plan, other, data, found, found.weights)
+    if not again.cost[0] < MUCH_BETTER * found.cost[0]:
+        return False
+    ours, theirs = (np.concatenate(coefficients(p.log_sigma, p.q)) for p in (found.point, again.point))
+    turn = to_log(found.point.q)
+    covariance = covariances(_subset(part, rows))
+    sd = np.sqrt(np.einsum("bij,bjk,bik->bi", turn, covariance, turn))[0]
+    return bool((np.abs(np.log(np.maximum(theirs, 1e-300) / np.maximum(ours, 1e-300)))[:, 0] > 1.96 * sd).any())

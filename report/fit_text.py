@@ -12,17 +12,22 @@ def fit_text(fit: Fit) -> str:
     """One line a channel, then each flag once with what it means."""
     head = f"{fit.material or fit.input_path}  (η {fit.eta:g}{'' if fit.g is None else f', g {fit.g:g}'})"
     lines = [head, *(f"  {name:<6} {_channel(channel)}" for name, channel in fit.channels.items())]
-    flags = {flag: [n for n, channel in fit.channels.items() if flag in channel.flags] for flag in MEANING}
-    lines += [f"  {', '.join(names)}: {flag}: {MEANING[flag]}" for flag, names in flags.items() if names]
+    raised = {flag: None for channel in fit.channels.values() for flag in channel.flags}
+    for flag in raised:
+        names = [name for name, channel in fit.channels.items() if flag in channel.flags]
+        lines.append(f"  {', '.join(names)}: {flag}: {MEANING.get(flag, 'raised by measure: see docs/flags.md')}")
     return "\n".join(lines)
 
 
 def _channel(channel: ChannelFit) -> str:
-    if channel.status in ("unidentifiable", "failed"):
-        return f"{channel.status} ({channel.model}, {channel.n} radii)"
+    if channel.status in ("rejected", "unidentifiable", "failed"):
+        chi2 = "" if math.isnan(channel.chi2_reduced) else f", χ² {channel.chi2_reduced:.2f}"
+        return f"{channel.status}: no number is stated ({channel.model}, {channel.n} radii{chi2})"
     sigma_sp = f"σs′ {_with_error(channel.sigma_sp_per_mm, channel.sigma_sp_sd_per_mm)}/mm"
     if channel.status == "upper_bound":
         sigma_a = f"σa < {channel.sigma_a_interval95_per_mm[1]:.2g}/mm (95 %)"
+    elif math.isnan(channel.sigma_a_per_mm):
+        sigma_a = "σa –"
     else:
         sigma_a = f"σa {_with_error(channel.sigma_a_per_mm, channel.sigma_a_sd_per_mm)}/mm"
     chi2 = "" if math.isnan(channel.chi2_reduced) else f"  χ² {channel.chi2_reduced:.2f}"
@@ -37,7 +42,7 @@ def _model(channel: ChannelFit) -> str:
     errors = [
         f"{100 * channel.model_error[key]:.2g} % in {symbols[key]}" for key in symbols if key in channel.model_error
     ]
-    return f"{channel.model}, itself off by {' and '.join(errors)}" if errors else channel.model
+    return f"{channel.model}, model error {' and '.join(errors)}" if errors else channel.model
 
 
 def _with_error(value: float, sd: float) -> str:

@@ -1,6 +1,6 @@
 """The paper's Fig. 6: measured points, the dipole, and a Monte Carlo simulation, all with the fitted coefficients.
 
-Spot and camera angle are taken off the measured points as the fit allows for them (`fit.seen`).
+Spot and camera angle are taken off the measured points as the fit allows for them (`fit.bare`).
 """
 
 from __future__ import annotations
@@ -15,16 +15,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from bssrdf.fit.choose import model_of, tabulated
-from bssrdf.fit.curves import stack
-from bssrdf.fit.predict import Parameters
-from bssrdf.fit.seen import seen_at
+from bssrdf.fit.bare import bare
+from bssrdf.fit.models import tabulated
 from bssrdf.session.records import ChannelFit, Fit, Slice
 from bssrdf.transport import dipole
 from bssrdf.transport.dipole import Medium
 from bssrdf.transport.engine import MonteCarloMedium, simulate
-from bssrdf.transport.forward import ForwardModel
+from bssrdf.transport.forward import DipoleModel, ForwardModel
 from bssrdf.transport.precision import scoped_x64
+from bssrdf.transport.table_cache import table_model
 
 PHOTONS = 300_000
 BINS = 40
@@ -80,7 +79,7 @@ def validate(fit: Fit, piece: Slice, *, progress: Callable[[str, int, int], None
         value, error = tally.rd()
         centre = (edges[1:] + edges[:-1]) / 2
         model = _model_of(fit, channel)
-        measured = _as_modelled(model, channel, piece, name)
+        measured = _as_modelled(channel, piece, name)
         expected = _over_rings(
             model, Medium(channel.sigma_a_per_mm, channel.sigma_sp_per_mm, fit.eta), edges, value, error, measured
         )
@@ -97,23 +96,17 @@ def _photons(medium: MonteCarloMedium) -> int:
 def _model_of(fit: Fit, channel: ChannelFit) -> ForwardModel:
     """The table where one ships that holds the medium, else the dipole."""
     if tabulated(fit.eta, fit.g):
-        table = model_of("mc", fit.eta, fit.g)
+        table: ForwardModel = jax.tree.map(jnp.asarray, table_model(fit.eta, fit.g or 0.0))
         if 3 * channel.sigma_a_per_mm / (channel.sigma_a_per_mm + channel.sigma_sp_per_mm) < table.q_max**2:
             return table
-    return model_of("dipole", fit.eta, fit.g)
+    return DipoleModel(jnp.asarray(fit.eta))
 
 
-@scoped_x64
-def _as_modelled(model: ForwardModel, channel: ChannelFit, piece: Slice, name: str) -> Measured:
+def _as_modelled(channel: ChannelFit, piece: Slice, name: str) -> Measured:
     """The measured values, less what spot and camera angle do by the fit's own coefficients."""
-    one = jax.tree.map(lambda batch: jnp.asarray(batch[0]), stack([(piece, name)]))
-    sigma_tp = channel.sigma_a_per_mm + channel.sigma_sp_per_mm
-    q = jnp.sqrt(3 * channel.sigma_a_per_mm / sigma_tp)
-    point = Parameters(jnp.log(sigma_tp), jnp.minimum(q, model.q_max), jnp.zeros(()))
-    seen = seen_at(model, one, point, blurred=bool(one.spot_radius > 0), camera=piece.exit == "fresnel")
-    n = len(piece.channels[name].r_mm)
-    columns = one.r_lo, one.r_hi, one.rd / seen.ratio(point), ~(one.rd * one.weight < _CLEAR_SD)
-    return Measured(*(np.asarray(column[:n]) for column in columns))
+    data = bare(piece, name, channel.sigma_a_per_mm, channel.sigma_sp_per_mm)
+    clear = ~(data.rd_per_mm2 < _CLEAR_SD * data.sd_per_mm2)
+    return Measured(data.r_lo_mm, data.r_hi_mm, data.rd_per_mm2, clear)
 
 
 @scoped_x64

@@ -23,6 +23,7 @@ _ORDER = (
     "sigma_sp_interval95_per_mm",
     "correlation",
     "model_error",
+    "budget",
     "total_r_measured",
     "total_r_model",
     "window_mm",
@@ -43,6 +44,7 @@ _NUMBERS = (
 )
 _PAIRS = ("sigma_a_interval95_per_mm", "sigma_sp_interval95_per_mm", "window_mm")
 _BY_NAME = ("model_error", "sensitivity")
+_COEFFICIENTS = ("sigma_a", "sigma_sp")
 
 
 def fit_to_dict(fit: Fit) -> dict[str, Any]:
@@ -102,6 +104,8 @@ def read_fit(path: Path) -> Fit:
 
 def _channel_to_dict(channel: ChannelFit) -> dict[str, Any]:
     values = {name: getattr(channel, name) for name in _ORDER}
+    shares: dict[str, Any] = {key: channel.budget.get(key) for key in _COEFFICIENTS}
+    values["budget"] = shares | {"not_stated": list(channel.not_stated)}
     return values | ({"sensitivity": channel.sensitivity} if channel.sensitivity else {})
 
 
@@ -134,8 +138,15 @@ def _channel(values: dict[str, Any]) -> ChannelFit:
     fields: dict[str, Any] = {name: _number(values[name]) for name in _NUMBERS}
     fields |= {name: _pair(values[name]) for name in _PAIRS}
     fields |= {name: {key: _number(each) for key, each in values.get(name, {}).items()} for name in _BY_NAME}
+    budget = values.get("budget", {})
     return ChannelFit(
         model=str(values["model"]),
+        budget={
+            key: {name: _number(share) for name, share in budget[key].items()}
+            for key in _COEFFICIENTS
+            if budget.get(key) is not None
+        },
+        not_stated=tuple(budget.get("not_stated", ())),
         n=int(values["n"]),
         status=values["status"],
         flags=tuple(values["flags"]),

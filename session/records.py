@@ -33,7 +33,7 @@ Flux = Literal["incident", "entering"]
 Exit = Literal["hemisphere", "lambertian", "fresnel"]
 Azimuth = Literal["perpendicular", "mean"]
 BeamKind = Literal["white", "led", "laser"]
-Status = Literal["converged", "upper_bound", "unidentifiable", "failed"]
+Status = Literal["converged", "upper_bound", "unidentifiable", "rejected", "failed"]
 Array = NDArray[np.float64]
 
 
@@ -264,6 +264,10 @@ class ChannelFit:
     """Relative, by coefficient: `sigma_a`, `sigma_sp`."""
     sensitivity: dict[str, float] = field(default_factory=dict)
     """Derivatives such as `d_ln_sigma_a_d_g`."""
+    budget: dict[str, dict[str, float]] = field(default_factory=dict)
+    """By coefficient, the share of the variance of ln σ by independent source; each adds up to 1."""
+    not_stated: tuple[str, ...] = ()
+    """Errors that count as 0 because no slice states them."""
 
 
 @dataclass(frozen=True)

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
-from scipy.optimize import least_squares, minimize_scalar
+from scipy.optimize import least_squares
 
 from bssrdf.errors import InputError
-from bssrdf.fit.gauss_newton import minimise
 from bssrdf.fit.run import FitOptions, fit_slice, fit_slices
 from bssrdf.session.records import ChannelFit, ChannelSlice, Slice
 from bssrdf.transport import dipole
@@ -82,15 +80,15 @@ def test_the_method_of_2001_on_exact_light_of_marble(shared_data: Path) -> None:
     assert fit.sigma_sp_per_mm / 2.62 - 1 == pytest.approx(0.02, abs=0.02)
     assert fit.sigma_a_per_mm / 0.0041 - 1 == pytest.approx(-0.07, abs=0.04)
     lo, hi = np.asarray(fit.window_mm) * (fit.sigma_sp_per_mm + fit.sigma_a_per_mm)
-    assert 1 <= lo < 1.2
-    assert 20 < hi <= 24
+    assert 0.97 < lo < 1.2
+    assert 20 < hi <= 24.5
 
 
 @pytest.mark.parametrize("constraint", ["exact", "soft", "none"])
 def test_the_optimum_is_that_of_scipy(constraint: str) -> None:
     medium = Medium(0.0041, 2.62, 1.5)
     piece = dipole_slice(medium, 5, total_sd=0.002)
-    fit = fit_slice(piece, FitOptions(model="dipole", constraint=constraint, window_mm=(0.1, 9.5)))["G"]  # type: ignore[arg-type]
+    fit = fit_slice(piece, FitOptions(model="dipole", constraint=constraint, window_mm=(0.45, 8.5)))["G"]  # type: ignore[arg-type]
     channel = piece.channels["G"]
     inside = (channel.r_mm >= fit.window_mm[0]) & (channel.r_mm <= fit.window_mm[1])
     q_of_r = np.sqrt(3 * fit.sigma_a_per_mm / (fit.sigma_a_per_mm + fit.sigma_sp_per_mm))
@@ -138,12 +136,60 @@ def test_the_stated_errors_are_the_scatter_over_trials() -> None:
             assert abs(np.mean(pull)) < 0.25
 
 
-def test_a_common_scale_error_reaches_the_result() -> None:
-    piece = dipole_slice(Medium(0.0041, 2.62, 1.5), 3, total_sd=1e-5)
-    scaled = Slice(**{**vars(piece), "scale_rel_sd": 0.01})
-    sure, unsure = (fit_slice(each, FitOptions(model="dipole", constraint="soft"))["G"] for each in (piece, scaled))
-    assert unsure.sigma_a_sd_per_mm / unsure.sigma_a_per_mm == pytest.approx(0.09, abs=0.03)
-    assert sure.sigma_a_sd_per_mm < unsure.sigma_a_sd_per_mm / 3
+@pytest.mark.parametrize("constraint", ["exact", "soft", "none"])
+def test_a_length_error_moves_both_coefficients_by_as_much(constraint: str) -> None:
+    """σ goes as 1/mm: an error of 1 % in all lengths is one of 1 % in both, fully correlated."""
+    piece = dipole_slice(Medium(0.0041, 2.62, 1.5), 3, noise=1e-4, total_sd=1e-6)
+    unsure = replace(piece, mm_rel_sd=0.01)
+    fit = fit_slice(unsure, FitOptions(model="dipole", constraint=constraint))["G"]  # type: ignore[arg-type]
+    assert fit.sigma_sp_sd_per_mm / fit.sigma_sp_per_mm == pytest.approx(0.01, rel=0.02)
+    assert fit.sigma_a_sd_per_mm / fit.sigma_a_per_mm == pytest.approx(0.01, rel=0.02)
+    assert fit.correlation > 0.99
+    assert fit.budget["sigma_a"]["length"] > 0.97
+
+
+@pytest.mark.parametrize("constraint", ["exact", "soft", "none"])
+def test_lengths_that_are_wrong_move_the_coefficients_by_as_much(constraint: str) -> None:
+    piece = dipole_slice(Medium(0.17, 0.88, 1.3), 3, noise=1e-4, total_sd=1e-6)
+    channel = piece.channels["G"]
+    longer = ChannelSlice(channel.r_mm * 1.01, channel.rd_per_mm2 / 1.01**2, channel.sd_per_mm2 / 1.01**2)
+    options = FitOptions(model="dipole", constraint=constraint)  # type: ignore[arg-type]
+    right, wrong = (fit_slice(each, options)["G"] for each in (piece, replace(piece, channels={"G": longer})))
+    assert wrong.sigma_sp_per_mm * 1.01 == pytest.approx(right.sigma_sp_per_mm, rel=1e-6)
+    assert wrong.sigma_a_per_mm * 1.01 == pytest.approx(right.sigma_a_per_mm, rel=1e-6)
+
+
+@pytest.mark.parametrize("constraint", ["exact", "soft"])
+def test_an_error_of_scale_moves_curve_and_total_together(constraint: str) -> None:
+    """Trials with the scale error drawn scatter as the stated sd says, and the fit takes the scale from the shape."""
+    pieces = []
+    for seed in range(160):
+        piece = dipole_slice(Medium(0.0041, 2.62, 1.5), seed, noise=0.002, total_sd=1e-6)
+        factor = 1 + 0.01 * np.random.default_rng(1000 + seed).standard_normal()
+        channel = piece.channels["G"]
+        scaled = replace(channel, rd_per_mm2=factor * channel.rd_per_mm2)
+        total_r = {"G": factor * piece.total_r["G"]}
+        pieces.append(replace(piece, channels={"G": scaled}, total_r=total_r, scale_rel_sd=0.01))
+    options = FitOptions(model="dipole", constraint=constraint, window_mm=(0.45, 8.5))  # type: ignore[arg-type]
+    fits = [fit["G"] for fit in fit_slices(pieces, options)]
+    for key, truth in (("sigma_a", 0.0041), ("sigma_sp", 2.62)):
+        pull = [(getattr(f, f"{key}_per_mm") - truth) / getattr(f, f"{key}_sd_per_mm") for f in fits]
+        assert np.std(pull) == pytest.approx(1, abs=0.17)
+    sure = fit_slice(replace(pieces[0], scale_rel_sd=0.0), options)["G"]
+    assert fits[0].budget["sigma_a"]["scale"] > 0.3
+    assert fits[0].sigma_a_sd_per_mm > 1.5 * sure.sigma_a_sd_per_mm
+
+
+def test_the_budget_adds_up_to_the_whole_variance() -> None:
+    piece = replace(
+        dipole_slice(Medium(0.17, 0.88, 1.3), 3, total_sd=0.001), scale_rel_sd=0.005, mm_rel_sd=0.002, eta_sd=0.01
+    )
+    fit = fit_slice(piece, FitOptions(model="dipole"))["G"]
+    for key in ("sigma_a", "sigma_sp"):
+        assert sum(fit.budget[key].values()) == pytest.approx(1, abs=1e-9)
+        assert {"noise", "total", "scale", "length", "eta"} <= set(fit.budget[key])
+    assert "g" in fit.not_stated
+    assert "scale" not in fit.not_stated
 
 
 def test_lengths_scale_out() -> None:
@@ -186,28 +232,3 @@ def test_a_constraint_without_its_total_is_refused() -> None:
         fit_slice(piece, FitOptions(constraint="soft"))
     with pytest.raises(InputError, match="total_r for channel G"):
         fit_slice(Slice(**{**vars(piece), "total_r": {}}), FitOptions(constraint="exact"))
-
-
-@pytest.mark.parametrize("dtype", ["float32", "float64"])
-def test_least_squares_finds_the_bottom_of_a_curved_valley(dtype: str) -> None:
-    def rosenbrock(x: jax.Array) -> jax.Array:
-        return jnp.stack([10 * (x[1] - x[0] ** 2), 1 - x[0]])
-
-    with jax.enable_x64(dtype == "float64"):
-        x, converged = minimise(with_slopes(rosenbrock), jnp.asarray([-1.2, 1.0], dtype))
-    assert converged
-    np.testing.assert_allclose(x, [1, 1], rtol=1e-3 if dtype == "float32" else 1e-7)
-
-
-def test_least_squares_in_one_unknown_agrees_with_scipy(x64: None) -> None:
-    t = np.linspace(0, 3, 30)
-    y = np.exp(-0.7 * t) + 0.01 * np.sin(40 * t)
-    x, converged = minimise(with_slopes(lambda x: y - jnp.exp(-x[0] * t)), jnp.asarray([2.0]))
-    best = minimize_scalar(lambda k: np.sum((y - np.exp(-k * t)) ** 2), bounds=(0.1, 3), options={"xatol": 1e-12})
-    assert converged
-    assert float(x[0]) == pytest.approx(best.x, rel=1e-7)
-
-
-def with_slopes(residual: Callable[[jax.Array], jax.Array]) -> Callable[[jax.Array], tuple[jax.Array, jax.Array]]:
-    """A residual with its derivatives, a row for each unknown."""
-    return lambda x: (residual(x), jax.jacfwd(residual)(x).T)

@@ -10,17 +10,19 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from bssrdf.fit.choose import model_of
 from bssrdf.fit.free_g import fit_g
+from bssrdf.fit.layout import row_of, sight_of, stack
+from bssrdf.fit.observe import azimuths, seen_at
 from bssrdf.fit.run import FitOptions, fit_slices
-from bssrdf.fit.seen import azimuths
 from bssrdf.fit.setting import setting_flags
-from bssrdf.fit.spot import blur
 from bssrdf.rig.sim.light import SampleMedium, seen_light
 from bssrdf.session.records import ChannelFit, ChannelSlice, Material, Slice
+from bssrdf.transport.arrays import NUMPY
 from bssrdf.transport.convention import camera_factor
 from bssrdf.transport.dipole import Medium
 from bssrdf.transport.forward import ACROSS, DipoleModel
+from bssrdf.transport.light import dipole, shape_of
+from bssrdf.transport.table_cache import table_model
 
 CURVES = {
     "marbleG_g0": (0.0041, 2.62, 1.5, 0.0, 0.799482),
@@ -82,13 +84,15 @@ def test_g_is_found_from_the_shape_near_the_source(pieces: dict[str, Slice]) -> 
 def test_a_wrong_g_is_suspected(pieces: dict[str, Slice]) -> None:
     fit = fit_slices([replace(pieces["skin1G_g0.8"], g=0.0)], FitOptions(model="mc"))[0]["G"]
     assert {"poor_fit", "g_suspect"} <= set(fit.flags)
+    assert fit.status == "rejected"
+    assert np.isnan(fit.sigma_a_per_mm)
 
 
 def test_a_camera_at_an_angle_sees_the_tables_own_exit_law() -> None:
     medium, angle = Medium(0.48, 1.01, 1.3), 30.0
     mu = float(np.cos(np.radians(angle)))
     with jax.enable_x64(True):
-        table = model_of("mc", 1.3, 0.8)
+        table = table_model(1.3, 0.8)
         r = jnp.linspace(0.3, 12, 64)
         seen = np.asarray(table.radiance(medium, r, mu, ACROSS))
         total = float(table.total(medium) * table.total_radiance_factor(medium, mu))
@@ -110,15 +114,23 @@ def test_a_camera_at_an_angle_sees_the_tables_own_exit_law() -> None:
     assert fit.sigma_sp_per_mm == pytest.approx(1.01, rel=2e-3)
 
 
-def test_the_spots_blur_is_the_mean_over_the_spot(x64: None) -> None:
-    model, medium = DipoleModel(jnp.asarray(1.3)), Medium(0.4**2 / 3, 1 - 0.4**2 / 3, 1.3)
+def test_the_spots_blur_is_the_mean_over_the_spot() -> None:
+    sigma_a, sigma_sp = 0.4**2 / 3, 1 - 0.4**2 / 3
+    model, r = dipole(1.3), np.array([0.5, 1.0, 3.0])
+    piece = Slice(
+        channels={"G": ChannelSlice(r, r, 0.01 * r)}, eta=1.3, flux="entering", exit="hemisphere", spot_radius_mm=0.3
+    )
+    row = row_of(piece, "G", None)
+    curves = stack([row])
+    log_sigma, q = (np.full((1, 1), each) for each in shape_of(sigma_a, sigma_sp))
+    sight = sight_of(piece, [row], curves, blurred=True)
+    ratio = np.exp(seen_at(NUMPY, sight, model, curves, log_sigma, q).log_ratio[0])
     rng = np.random.default_rng(0)
     offset = 0.3 / 2 * rng.standard_normal((400_000, 2))  # 1/e² radius is two standard deviations
-    for r in (0.5, 1.0, 3.0):
-        distance = np.hypot(r + offset[:, 0], offset[:, 1])
-        expected = np.mean(np.asarray(model.rd(medium, jnp.asarray(distance))))
-        blurred = blur(lambda d, _: model.rd(medium, d), jnp.asarray([r]), jnp.asarray(0.3))[0]
-        assert float(blurred) == pytest.approx(expected, rel=1e-3)
+    for at, found in zip(r, ratio, strict=True):
+        distance = np.hypot(at + offset[:, 0], offset[:, 1])
+        expected = model.look(NUMPY, q, distance[None])[0].mean() / model.look(NUMPY, q, np.array([[at]]))[0][0, 0]
+        assert found == pytest.approx(expected, rel=1e-3)
 
 
 @pytest.mark.parametrize(("sigma_a", "sigma_sp"), [(0.97, 0.07), (0.061, 0.18), (0.015, 0.15)])
@@ -148,17 +160,17 @@ def test_azimuths_are_those_of_the_pixels_in_a_band() -> None:
     """Against pixels drawn along the arc, and light that enters beside the beam."""
     arc, turn = 0.9, 0.5
     azimuth = np.pi / 2 + np.linspace(-arc, arc, 100_001) + turn
-    found = azimuths(jnp.asarray([arc]), jnp.asarray([np.sin(turn)]))
-    other = azimuths(jnp.asarray([arc]), jnp.asarray([-np.sin(turn)]))
+    found = azimuths(NUMPY, np.array([arc]), np.array([np.sin(turn)]))
+    other = azimuths(NUMPY, np.array([arc]), np.array([-np.sin(turn)]))
     both = np.concatenate([azimuth, azimuth - 2 * turn])
     assert float(found.cos_2[0] + other.cos_2[0]) / 2 == pytest.approx(np.cos(2 * both).mean(), abs=1e-4)
     assert float(found.along[0]) == 0
-    whole = azimuths(jnp.asarray([np.pi / 2]), jnp.asarray([0.0]))
+    whole = azimuths(NUMPY, np.array([np.pi / 2]), np.array([0.0]))
     assert (float(whole.cos_2[0]), float(whole.along[0])) == pytest.approx((0, 1), abs=1e-6)
     wide, turned = 1.3, np.pi / 2 - 1.0
     near = np.abs(np.pi / 2 + np.linspace(-wide, wide, 100_001) + turned - np.pi) < 0.01
     share = near.mean() / (0.02 / np.pi)
-    assert float(azimuths(jnp.asarray([wide]), jnp.asarray([np.sin(turned)])).along[0]) == pytest.approx(
+    assert float(azimuths(NUMPY, np.array([wide]), np.array([np.sin(turned)])).along[0]) == pytest.approx(
         share, rel=0.02
     )
 

@@ -1,0 +1,216 @@
+"""How well an optimum is known: covariance by source, and what contradicts it. Shapes: b problems, P parameters.
+
+The fit answers a change d of data and priors by δ = G Xᵀ W d, G = L (Lᵀ N L)⁻¹ Lᵀ, N the normal equations with priors
+and L the lift that keeps an exact R. So each independent source adds G S Gᵀ, S its own covariance of Xᵀ W d, and the
+sources' shares add up to the whole.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from bssrdf.fit.solve import Solution, elimination
+from bssrdf.fit.terms import Plan, Problem, curve, model_sd, rows_of, squares, system, total, total_row, window
+from bssrdf.transport.arrays import Engine
+from bssrdf.transport.light import Light
+
+FIFTH, STARTS = 5, 17
+"""A misfit that runs through this share of the window is one of shape; the share is laid at so many places."""
+
+
+class Judged(NamedTuple):
+    """What is known of each problem beside its optimum."""
+
+    sources: dict[str, Any]
+    """(b, 2, 2) by source: covariance of (s, q). `noise` and `total` with the scatter taken as the errors state it."""
+    chi2: Any
+    """(b,), reduced, with shared errors at their best."""
+    n: Any
+    """(b,): radii in the window, a faded one in part."""
+    total_r: Any
+    pull: Any
+    """(b,): R measured less that of the curve alone, in sd; 0 where R is no datum."""
+    runs_z: Any
+    """(b,): sd by which runs of one sign fall short of chance."""
+    drift: Any
+    """(b,): largest running mean of the relative residual over a fifth of the window; 0 where below 4 of its sd."""
+    answer: tuple[Any, ...]
+    """By slice (b, P, u): δ to a relative change of the data."""
+    total_answer: Any
+    """(b, P): δ to a relative change of all R."""
+    used: tuple[Any, ...]
+    """By slice (b, u): whether a radius counts."""
+    values: tuple[Any, ...]
+    """By slice (b, u): the model's curve."""
+
+
+def judge(e: Engine, plan: Plan, model: Light, data: Problem, found: Solution) -> Judged:
+    """Linear error propagation about the optimum, and tests of the residuals."""
+    xp = e.xp
+    at, laid, by = found.point, found.laid, found.weights
+    looks = [curve(e, plan, model, laid, at, k) for k in range(len(plan.sights))]
+    rows = [rows_of(e, laid, look, k) for k, look in enumerate(looks)]
+    full = system(e, plan, model, data, laid, at, looks, by)
+    answer = _answer(e, plan, model, data, found, full.matrix)
+    w2 = [squares(e, plan, model, data, at, look[0], k) for k, look in enumerate(looks)]
+    used = tuple((window(e, model, c, at.log_sigma) > 0.5) & (m > 0) for c, m in zip(data.curves, by.mass, strict=True))
+    n = sum(((c.known != 0).sum(2) * window(e, model, c, at.log_sigma)).sum(1) for c in data.curves)
+    p = (plan.constraint != "exact") + 1 + plan.scale_free
+    chi2 = found.cost / xp.maximum(n + (plan.constraint == "soft") * len(plan.totals) - p, 1)
+
+    sources = _by_prior(xp, plan, answer)
+    noise, allowed = 0.0, 0.0
+    for k, (c, x) in enumerate(zip(data.curves, rows, strict=True)):
+        in_force = w2[k] * _rescaled(xp, w2[k], by.mass[k])
+        variance = xp.where(c.errors_known[..., None], 1 / xp.maximum(c.known, 1e-300) ** 2, 0.0)
+        unknown = xp.where(c.errors_known[..., None], 0.0, in_force * chi2[:, None, None])
+        noise = noise + _gram(xp, x, xp.where(in_force > 0, in_force**2 * variance + unknown, 0.0).sum(2))
+        off = model_sd(e, plan, model, data, at, looks[k][0], k)
+        allowed = allowed + _gram(xp, x, xp.where(c.errors_known, by.mass[k] * off, 0.0) ** 2)
+    sources["noise"] = _seen(xp, answer, noise)
+    if model.name == "mc":
+        sources["table"] = sources.get("table", 0.0) + _seen(xp, answer, allowed)
+    total_answer, pull = _by_totals(e, plan, model, data, found, full.matrix, answer, sources)
+    return Judged(
+        sources=sources,
+        chi2=chi2,
+        n=n,
+        total_r=total(e, model, at.q)[0][:, 0],
+        pull=pull,
+        runs_z=_runs(e, data, laid, looks, w2, found.shared),
+        drift=_drift(e, laid, looks, by, found.shared, chi2),
+        answer=tuple(
+            xp.matmul(answer, x) * (mass * look[0])[:, None, :]
+            for x, mass, look in zip(rows, by.mass, looks, strict=True)
+        ),
+        total_answer=total_answer,
+        used=used,
+        values=tuple(look[0] for look in looks),
+    )
+
+
+def _answer(e: Engine, plan: Plan, model: Light, data: Problem, found: Solution, matrix: Any) -> Any:
+    """G, (b, P, P)."""
+    xp = e.xp
+    lift, _ = elimination(e, plan, model, data, found.laid, found.point)
+    dead = [1] if plan.constraint == "exact" else []
+    dead += [] if plan.scale_free else [2]
+    alive = np.array([k for k in range(matrix.shape[1]) if k not in dead])
+    short = lift[:, :, alive]
+    down = xp.swapaxes(short, 1, 2)
+    reduced = xp.matmul(down, xp.matmul(matrix, short))
+    scale = xp.sqrt(xp.maximum(xp.diagonal(reduced, axis1=1, axis2=2), 1e-30))
+    unit = reduced / scale[:, :, None] / scale[:, None, :] + 1e-13 * xp.eye(alive.size)
+    lost = ~xp.isfinite(unit).all((1, 2))[:, None, None]
+    unit = xp.where(lost, xp.eye(alive.size), unit)
+    inverse = xp.linalg.inv(unit) / scale[:, :, None] / scale[:, None, :]
+    return xp.matmul(short, xp.matmul(inverse, down))
+
+
+def _by_prior(xp: Any, plan: Plan, answer: Any) -> dict[str, Any]:
+    """Covariances by source of the shared errors, each of one sd."""
+    sources: dict[str, Any] = {}
+    for k, error in enumerate(plan.shared):
+        moved = answer[:, :2, 3 + k]
+        sources[error.source] = sources.get(error.source, 0.0) + moved[:, :, None] * moved[:, None, :]
+    return sources
+
+
+def _by_totals(
+    e: Engine,
+    plan: Plan,
+    model: Light,
+    data: Problem,
+    found: Solution,
+    matrix: Any,
+    answer: Any,
+    sources: dict[str, Any],
+) -> tuple[Any, Any]:
+    """Adds the error of R, and gives the fit's answer to a relative change of R, and the pull of R."""
+    xp = e.xp
+    b = found.point.q.shape[0]
+    pull, total_answer = xp.zeros(b), xp.zeros(answer.shape[:2])
+    covariance = xp.zeros((b, 2, 2))
+    for k in range(len(plan.totals)):
+        if plan.constraint == "none":
+            continue
+        gap, row = total_row(e, model, data, found.laid, found.point, k)
+        value = data.totals[k].r / found.laid.total_seen[k] - gap
+        sd = data.totals[k].sd
+        if plan.constraint == "exact":
+            shift = xp.asarray(np.eye(row.shape[1])[1]) / row[:, 1:2]
+            moved = shift - xp.matmul(answer, xp.matmul(matrix, shift[:, :, None]))[:, :, 0]
+            error = xp.where(xp.isfinite(sd), sd, 0.0)
+        else:
+            moved, error = xp.matmul(answer, (row / sd**2)[:, :, None])[:, :, 0], sd
+            left = gap - (row[:, 3:] * found.shared).sum(1, keepdims=True)
+            leverage = (row * xp.matmul(answer, row[:, :, None])[:, :, 0]).sum(1, keepdims=True) / sd**2
+            one = left / sd / xp.sqrt(xp.maximum(1 - leverage, 1e-6))
+            pull = xp.where(xp.abs(one[:, 0]) > xp.abs(pull), one[:, 0], pull)
+        covariance = covariance + _outer(moved[:, :2] * error)
+        total_answer = total_answer + moved * value
+    sources["total"] = covariance
+    return total_answer, pull
+
+
+def _outer(moved: Any) -> Any:
+    return moved[:, :, None] * moved[:, None, :]
+
+
+def _seen(xp: Any, answer: Any, scatter: Any) -> Any:
+    """G S Gᵀ in (s, q)."""
+    short = answer[:, :2]
+    return xp.matmul(short, xp.matmul(scatter, xp.swapaxes(short, 1, 2)))
+
+
+def _gram(xp: Any, x: Any, weight: Any) -> Any:
+    return xp.matmul(x * weight[:, None, :], xp.swapaxes(x, 1, 2))
+
+
+def _rescaled(xp: Any, w2: Any, mass: Any) -> Any:
+    """By which the weights in force fall short of plain ones, as Huber's do."""
+    whole = w2.sum(2)
+    return xp.where(whole > 0, mass / xp.where(whole > 0, whole, 1.0), 0.0)[..., None]
+
+
+def _fitted(laid: Any, look: Any, shared: Any, k: int) -> Any:
+    return look[0] * (1 + (laid.responses[k] * shared[:, :, None]).sum(1))
+
+
+def _runs(e: Engine, data: Problem, laid: Any, looks: Any, w2: Any, shared: Any) -> Any:
+    """Wald–Wolfowitz of the worst slice."""
+    xp = e.xp
+    worst = -np.inf + xp.zeros(looks[0][0].shape[0])
+    for k, c in enumerate(data.curves):
+        b = c.rd.shape[0]
+        miss = (c.rd - _fitted(laid, looks[k], shared, k)[..., None]).reshape(b, -1)
+        valid = (w2[k] > 0).reshape(b, -1)
+        plus = (valid & (miss > 0)).sum(1)
+        minus = valid.sum(1) - plus
+        count = 1 + (valid[:, 1:] & valid[:, :-1] & ((miss[:, 1:] > 0) != (miss[:, :-1] > 0))).sum(1)
+        n = xp.maximum(plus + minus, 2)
+        expected = 1 + 2 * plus * minus / n
+        variance = (expected - 1) * (expected - 2) / (n - 1)
+        worst = xp.maximum(worst, (expected - count) / xp.sqrt(xp.maximum(variance, 1e-9)))
+    return worst
+
+
+def _drift(e: Engine, laid: Any, looks: Any, by: Any, shared: Any, chi2: Any) -> Any:
+    """The mean over a fifth of the radii that is largest against the curve, of those beyond 4 of their sd, enlarged by
+    the misfit."""
+    xp = e.xp
+    largest = xp.zeros(looks[0][0].shape[0])
+    for k, look in enumerate(looks):
+        value = xp.maximum(look[0], 1e-300)
+        counts = by.mass[k] > 0
+        weight = by.mass[k] * value * value
+        relative = xp.where(counts, (by.mean[k] - _fitted(laid, look, shared, k)) / value, 0.0)
+        rank = xp.cumsum(counts, axis=1) / xp.maximum(counts.sum(1, keepdims=True), 1)
+        for first in np.linspace(0, 1 - 1 / FIFTH, STARTS):
+            within = (rank > first) & (rank <= first + 1 / FIFTH)
+            mass = xp.maximum((within * weight).sum(1), 1e-300)
+            mean = xp.abs((within * weight * relative).sum(1) / mass)
+            largest = xp.maximum(largest, xp.where(mean * xp.sqrt(mass / xp.maximum(chi2, 1.0)) > 4, mean, 0.0))
+    return largest

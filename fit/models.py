@@ -1,0 +1,109 @@
+"""Forward models by name, (η, g), and those a little aside; the rule behind `--model auto`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import lru_cache
+from typing import Literal, NamedTuple
+
+from bssrdf.errors import InputError
+from bssrdf.transport.light import Dipole, Light, Table, dipole, table_of
+from bssrdf.transport.parallel import Progress
+from bssrdf.transport.table_cache import Policy, allowed, nearest, place, shipped, table_model
+
+ModelName = Literal["auto", "dipole", "mc"]
+ASSUMED_G = 0.0
+"""Taken where a slice does not say g; the fit is flagged, since R depends on g at equal σs′."""
+G_STEP = 0.05
+ETA_STEP = 0.01
+DIPOLE_SHARE = 0.3
+"""Of the statistical sd: a dipole whose model error is below adds at most 4 % to an interval's true width."""
+
+RULE = (
+    "auto takes the dipole where its model error is below 0.3 of the statistical error in both coefficients, and the "
+    "Monte Carlo table elsewhere. The dipole's model error is found by fitting it, with the same radii and weights, to "
+    "the table's light of the same medium. A table that does not ship is taken from the cache or made (--tables)."
+)
+
+
+class Making(NamedTuple):
+    """What to tell while a table is made: about how long it takes [s], and how far it is."""
+
+    announce: Callable[[float], None] | None = None
+    progress: Progress | None = None
+
+
+class Truth(NamedTuple):
+    """A table that says how wrong the dipole is, with the dipole of the same index."""
+
+    dipole: Dipole
+    table: Table
+    own: bool
+    """Whether it is that of the medium, and not of the nearest."""
+
+
+def table_of_medium(eta: float, g: float | None, policy: Policy, making: Making) -> Table:
+    """The table of (η, g), g drawn into the range of tables; raises InputError where the policy forbids it."""
+    found = place(eta, ASSUMED_G if g is None else g)
+    if not allowed(found, policy):
+        raise InputError(
+            f"eta = {eta:g}, g = {found.g:g}: no Monte Carlo table is at hand; --tables make makes one in about "
+            f"{found.seconds:.0f} s, or take --model dipole"
+        )
+    return _table(found.eta, found.g, making)
+
+
+def has_table(eta: float, g: float | None, policy: Policy) -> bool:
+    """Whether the policy gives this medium a table."""
+    try:
+        return allowed(place(eta, ASSUMED_G if g is None else g), policy)
+    except InputError:
+        return False
+
+
+def is_clamped(g: float | None) -> bool:
+    """Whether g lies beyond the tables and their nearest is taken."""
+    return g is not None and place(1.4, g).g_clamped
+
+
+def truth_of(eta: float, g: float | None, policy: Policy, making: Making) -> Truth | None:
+    """The medium's own table where it is at hand, else the nearest; None where that lies too far off.
+
+    None is made: whoever wants the dipole alone need not wait for a table.
+    """
+    at_hand: Policy = "shipped" if policy == "shipped" else "cached"
+    if has_table(eta, g, at_hand):
+        return Truth(dipole(eta), table_of_medium(eta, g, at_hand, making), own=True)
+    other = nearest(eta, ASSUMED_G if g is None else g, policy=at_hand)
+    return Truth(dipole(other.eta), _table(other.eta, other.g, Making()), own=False) if other.near else None
+
+
+@lru_cache(maxsize=64)
+def _table(eta: float, g: float, making: Making) -> Table:
+    return table_of(table_model(eta, g, announce=making.announce, progress=making.progress))
+
+
+@lru_cache(maxsize=64)
+def beside(name: Literal["dipole", "mc"], eta: float, g: float | None) -> dict[str, tuple[Light, float]]:
+    """A model a little aside in `eta`, and for the table in `g`, with the step; only what ships."""
+    if name == "dipole":
+        return {"eta": (dipole(eta + ETA_STEP), ETA_STEP)}
+    g = ASSUMED_G if g is None else g
+    found: dict[str, tuple[Light, float]] = {}
+    for key, step in (("eta", ETA_STEP), ("g", G_STEP)):
+        for signed in (step, -step):
+            at = (eta + signed, g) if key == "eta" else (eta, g + signed)
+            if tabulated(*at):
+                found[key] = (_table(*at, Making()), signed)
+                break
+    return found
+
+
+def tabulated(eta: float, g: float | None) -> bool:
+    """Whether a table of the finest set that ships covers the medium."""
+    return shipped().covers(eta, ASSUMED_G if g is None else g)
+
+
+def shipped_table(eta: float, g: float) -> Table:
+    """The table of a medium that `tabulated` knows."""
+    return _table(eta, g, Making())

@@ -1,0 +1,130 @@
+"""The same objective asked another question: what another model, g or η would make of the data.
+
+Small changes take the fit's linear answer (`errors.Judged.answer`); large ones, such as the dipole's bias, fit again
+with the weights as they are. Shapes: b problems; results are relative, (b, 2) in (σa, σs′).
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bssrdf.fit.errors import Judged, judge
+from bssrdf.fit.layout import Total
+from bssrdf.fit.models import Truth
+from bssrdf.fit.observe import NEAREST_MFP
+from bssrdf.fit.solve import REST, Solution, optimise
+from bssrdf.fit.terms import Laid, Neighbours, Plan, Point, Problem, Weights, curve, lay
+from bssrdf.transport.arrays import NUMPY
+from bssrdf.transport.light import Light, Table, coefficients, shape_of
+from bssrdf.transport.table_grid import R_ZERO, V_MAX
+
+Floats = NDArray[np.float64]
+LEAST_RATIO = 0.2
+"""Of a fitted coefficient to the true one, in undoing a bias."""
+E = NUMPY
+
+
+def to_log(q: Floats) -> Floats:
+    """(b, 2, 2): derivatives of (ln σa, ln σs′) by (s, q)."""
+    q = np.maximum(q[:, 0], 1e-300)
+    one = np.ones_like(q)
+    return np.stack([np.stack([one, 2 / q], 1), np.stack([one, -2 * q / 3 / (1 - q * q / 3)], 1)], 1)
+
+
+def table_error(plan: Plan, model: Table, data: Problem, found: Solution, judged: Judged) -> Floats:
+    """From the Monte Carlo noise of the table's knots, which are independent."""
+    q = np.clip(np.abs(found.point.q), 1e-12, model.q_max)
+    knots = model.log_curve_sd.shape[1]
+    by_knot = np.zeros((q.shape[0], 2, knots))
+    for k, c in enumerate(data.curves):
+        x = np.maximum(np.exp(found.point.log_sigma) * (c.r_lo + c.r_hi) / 2, NEAREST_MFP)
+        t = np.clip(np.log1p(x / R_ZERO) / V_MAX, 0, 1) * (knots - 1)
+        at = np.minimum(t.astype(int), knots - 2)
+        moved = to_log(found.point.q) @ judged.answer[k][:, :2]
+        rows, two = np.arange(q.shape[0])[:, None, None], np.arange(2)[None, :, None]
+        np.add.at(by_knot, (rows, two, at[:, None, :]), moved * (1 - (t - at))[:, None, :])
+        np.add.at(by_knot, (rows, two, at[:, None, :] + 1), moved * (t - at)[:, None, :])
+    edges = R_ZERO * np.expm1(np.linspace(0, 1, knots) * V_MAX)
+    sd = model.shape_sd(E, q, np.broadcast_to(edges, (q.shape[0], knots)))
+    return np.sqrt(np.square(by_knot * sd[:, None, :]).sum(2))
+
+
+def sensitivities(
+    plan: Plan, model: Light, data: Problem, found: Solution, judged: Judged, beside: Neighbours
+) -> dict[str, Floats]:
+    """d ln(σa, σs′) by η and g, as `d_ln_sigma_a_d_g`."""
+    out = {}
+    for name, (other, step) in beside.items():
+        moved = np.zeros((found.point.q.shape[0], 2))
+        for k in range(len(plan.sights)):
+            aside, here = (np.maximum(curve(E, plan, m, found.laid, found.point, k)[0], 1e-300) for m in (other, model))
+            moved -= ((to_log(found.point.q) @ judged.answer[k][:, :2]) * np.log(aside / here)[:, None, :]).sum(2)
+        aside, here = (m.total(E, found.point.q)[0] for m in (other, model))
+        moved -= (to_log(found.point.q) @ judged.total_answer[:, :2, None])[:, :, 0] * np.log(aside / here)
+        for column, key in enumerate(("sigma_a", "sigma_sp")):
+            out[f"d_ln_{key}_d_{name}"] = moved[:, column] / step
+    return out
+
+
+class Bias(NamedTuple):
+    """What the dipole makes of a table's light of the medium it found."""
+
+    error: Floats
+    """(b, 2), relative, in (σa, σs′)."""
+    pull: Floats
+    """(b,): of R, and how far the curve departs, on that light: no data could do better."""
+    drift: Floats
+
+
+def bias(plan: Plan, truth: Truth, data: Problem, found: Solution) -> Bias:
+    """At the medium found and then at that less its bias; how far the bias moves between the two is added."""
+    first, on_first = _bias_at(plan, truth, data, found, found.point)
+    again, on_again = _bias_at(plan, truth, data, found, _less(found.point, first))
+    error = np.where(np.isfinite(again), np.abs(again) + np.abs(again - first), np.abs(first))
+    pull = np.fmax(np.abs(on_first.pull), np.abs(on_again.pull))
+    return Bias(error, pull, np.fmax(on_first.drift, on_again.drift))
+
+
+def _bias_at(plan: Plan, truth: Truth, data: Problem, found: Solution, at: Point) -> tuple[Floats, Judged]:
+    at = at._replace(q=np.clip(at.q, 1e-6, truth.table.q_max))
+    light = _light_of(plan, truth.table, data, at)
+    refit = refitted(plan, truth.dipole, light.data, found, Weights(found.weights.mass, light.means), begin=at)
+    fitted, true = (np.concatenate(coefficients(p.log_sigma, p.q), axis=1) for p in (refit.point, at))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        relative = fitted / true - 1
+    return np.where(np.isfinite(relative), relative, np.nan), judge(E, plan, truth.dipole, light.data, refit)
+
+
+class _Light(NamedTuple):
+    data: Problem
+    means: tuple[Any, ...]
+
+
+def _light_of(plan: Plan, truth: Light, data: Problem, at: Point) -> _Light:
+    """The data that `truth` would have made."""
+    bare = plan._replace(shared=())
+    laid: Laid = lay(E, bare, truth, data, at, {})
+    means = tuple(curve(E, bare, truth, laid, at, k)[0] for k in range(len(plan.sights)))
+    totals = tuple(
+        Total(truth.total(E, at.q)[0] * seen, each.sd) for each, seen in zip(data.totals, laid.total_seen, strict=True)
+    )
+    return _Light(data._replace(totals=totals), means)
+
+
+def refitted(
+    plan: Plan, model: Light, data: Problem, found: Solution, weights: Weights, *, begin: Point | None = None
+) -> Solution:
+    """Fit again near by, with these weights and data; spot and angle as they were."""
+    begin = found.point if begin is None else begin
+    return optimise(E, plan, model, data, found.laid, begin, 10 * REST, relay=False, weights=weights)
+
+
+def _less(point: Point, biased: Floats) -> Point:
+    """The media whose fits, of that bias, came out as they did."""
+    sigma = np.concatenate(coefficients(point.log_sigma, point.q), axis=1)
+    sigma_a, sigma_sp = (sigma / np.maximum(1 + np.nan_to_num(biased), LEAST_RATIO)).T
+    log_sigma, q = shape_of(np.maximum(sigma_a, 1e-300), sigma_sp)
+    return point._replace(log_sigma=log_sigma[:, None], q=q[:, None])

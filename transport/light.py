@@ -1,0 +1,381 @@
+"""Both forward models in reduced form, R_d(r) = σt′² F(q, x), x = σt′ r, q = √(3σa/σt′), with slopes written out.
+
+Each text runs on NumPy or JAX (`arrays`). Shapes: q is (b, 1), x is (b, n); a look is (F, ∂F/∂ln x, ∂F/∂q). Per unit
+flux that entered, over the hemisphere of exits. Light is even in q, and the total odd about R = 1, so that a fit may
+pass q = 0 on its way.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+
+from bssrdf.transport.arrays import Engine
+from bssrdf.transport.table_grid import Q_MAX, Q_ZERO, R_MAX, R_ZERO, RHO_ZERO, U_MAX, V_MAX, W_MAX
+
+SMALLEST_Q = 1e-12
+"""In place of 0, where √ has no slope; σa/σt′ is then 3e-25."""
+_EPS = float(np.finfo(float).eps)
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(32)
+_U = (1 + _NODES) / 2
+
+Look = tuple[Any, Any, Any]
+
+
+class Light(Protocol):
+    """What a fit asks of a model of light in a half space."""
+
+    @property
+    def eta(self) -> float: ...
+
+    @property
+    def name(self) -> str: ...
+
+    @property
+    def q_max(self) -> float: ...
+
+    @property
+    def window_mfp(self) -> tuple[float, float]:
+        """Radii in mean free paths 1/σt′ between which a fit may trust it."""
+        ...
+
+    @property
+    def relative_error(self) -> float:
+        """How far its curve may be off at a typical radius: what a radius's weight allows for."""
+        ...
+
+    @property
+    def exit_error_mfp(self) -> float:
+        """How far its radiance across the view may be off relative to that, times the radius in mean free paths."""
+        ...
+
+    def look(self, e: Engine, q: Any, x: Any) -> Look:
+        """F and its slopes."""
+        ...
+
+    def total(self, e: Engine, q: Any) -> tuple[Any, Any]:
+        """R and dR/dq."""
+        ...
+
+    def radiance(self, e: Engine, q: Any, x: Any, mu: float, cos_2: Any, along: Any) -> Look:
+        """π L/σt′² towards the outside cosine `mu`, and slopes; see `forward.Azimuths` for the averages."""
+        ...
+
+    def total_radiance_factor(self, e: Engine, q: Any, mu: float) -> Any:
+        """π L/R over the whole surface."""
+        ...
+
+    def shape_sd(self, e: Engine, q: Any, x: Any) -> Any:
+        """Relative standard error of F by the model's own noise."""
+        ...
+
+
+class Dipole(NamedTuple):
+    """Eq. 4 of Jensen et al. 2001 in units of σt′."""
+
+    eta: float
+    a: float
+    """A = (1 + Fdr)/(1 − Fdr)."""
+    name: str = "dipole"
+    q_max: float = 1.73  # α′ = 0.002
+    window_mfp: tuple[float, float] = (1.0, 24.0)
+    relative_error: float = 0.05
+    exit_error_mfp: float = 0.0  # nothing beside its other errors
+
+    def look(self, e: Engine, q: Any, x: Any) -> Look:
+        xp = e.xp
+        aq = xp.maximum(xp.abs(q), SMALLEST_Q)
+        albedo, x2 = 1 - aq * aq / 3, x * x
+        value = by_x = by_q = 0.0
+        for z in (1.0, 1 + 4 / 3 * self.a):
+            d2 = x2 + z * z
+            d = xp.sqrt(d2)
+            y = aq * d
+            pulse = z * xp.exp(-y) / (d2 * d)
+            value = value + (1 + y) * pulse
+            by_x = by_x - x2 / d2 * (3 + 3 * y + y * y) * pulse
+            by_q = by_q - y * d * pulse
+        k = albedo / (4 * np.pi)
+        return k * value, k * by_x, xp.sign(q) * (k * by_q - aq / (6 * np.pi) * value)
+
+    def total(self, e: Engine, q: Any) -> tuple[Any, Any]:
+        """R = α′/2 (1 + e^(−4/3 A q)) e^(−q)."""
+        xp = e.xp
+        aq, k = xp.abs(q), 4 / 3 * self.a
+        virtual, real, albedo = xp.exp(-k * aq), xp.exp(-aq), 1 - aq * aq / 3
+        inside = albedo / 2 * (1 + virtual) * real
+        slope = -real * (aq / 3 * (1 + virtual) + albedo / 2 * (1 + virtual + k * virtual))
+        return xp.where(q >= 0, inside, 2 - inside), slope
+
+    def radiance(self, e: Engine, q: Any, x: Any, mu: float, cos_2: Any, along: Any) -> Look:
+        """Ft/C of R_d at every radius and azimuth: the paper's exit law, normalised."""
+        law = transmittance(np, self.eta, mu) / exit_norm(self.eta)
+        value, by_x, by_q = self.look(e, q, x)
+        return law * value, law * by_x, law * by_q
+
+    def total_radiance_factor(self, e: Engine, q: Any, mu: float) -> Any:
+        return e.xp.zeros_like(q) + transmittance(np, self.eta, mu) / exit_norm(self.eta)
+
+    def shape_sd(self, e: Engine, q: Any, x: Any) -> Any:
+        return e.xp.zeros_like(q * x)
+
+
+class Table(NamedTuple):
+    """The white Monte Carlo table of one η and g; see `table_assembly` for the arrays."""
+
+    eta: float
+    g: float
+    log_curve: Any
+    log_curve_sd: Any
+    diffusion_ratio: Any
+    log_total: Any
+    first: Any
+    first_decay: Any
+    angles: Any
+    total_angles: Any
+    name: str = "mc"
+    q_max: float = float(np.sqrt(3) * Q_MAX)
+    window_mfp: tuple[float, float] = (0.0, R_MAX)
+    relative_error: float = 0.003
+    exit_error_mfp: float = 0.008  # docs/white-tables.md
+
+    def look(self, e: Engine, q: Any, x: Any) -> Look:
+        return _added(self._multiple(e, q, x), self._first(e, q, x))
+
+    def total(self, e: Engine, q: Any) -> tuple[Any, Any]:
+        xp = e.xp
+        aq = xp.maximum(xp.abs(q), SMALLEST_Q)
+        albedo = 1 - aq * aq / 3
+        u, u_q = _u(xp, aq)
+        loss, by_u = _spline(e, self.log_total[None], u)
+        inside = albedo * xp.exp(-loss)
+        return xp.where(q >= 0, inside, 2 - inside), -inside * (2 * aq / 3 / albedo + by_u * u_q)
+
+    def _multiple(self, e: Engine, q: Any, x: Any) -> Look:
+        """Light scattered twice or more: α′² e^S (1 + κx) e^(−κx), κ² = q² × `diffusion_ratio`."""
+        xp = e.xp
+        aq = xp.maximum(xp.abs(q), SMALLEST_Q)
+        albedo = 1 - aq * aq / 3
+        u, u_q = _u(xp, aq)
+        ratio, ratio_u = _spline(e, self.diffusion_ratio[None], u)
+        kappa2, kappa2_q = aq * aq * ratio, 2 * aq * ratio + aq * aq * ratio_u * u_q
+        row, row_u = _rows(xp, self.log_curve, u[:, 0])
+        cell, f, v_x, inside = _along_v(xp, x, row.shape[-1])
+        smooth, smooth_v = _cubic(e.take(row, cell), f, row.shape[-1])
+        smooth_u = _cubic(e.take(row_u, cell), f, row.shape[-1])[0]
+        v = xp.log1p(x / R_ZERO) / V_MAX
+        beyond = 3 * V_MAX * xp.maximum(v - 1, 0.0)  # diffusing light goes on as the cube of the radius
+        y2 = kappa2 * x * x
+        y = xp.sqrt(y2)
+        decay, fall = (1 + y) * xp.exp(-y), -xp.exp(-y) / 2  # and its slope by y²
+        full = albedo * albedo * xp.exp(smooth - beyond)
+        value = full * decay
+        by_log_x = xp.where(inside, smooth_v, -3 * V_MAX) * v_x
+        by_x = value * by_log_x + full * fall * 2 * y2
+        by_q = value * (smooth_u * u_q - 4 * aq / 3 / albedo) + full * fall * x * x * kappa2_q
+        return value, by_x, xp.sign(q) * by_q
+
+    def _scatter(self, aq: Any) -> tuple[Any, Any, Any, Any]:
+        """σs/σt′ and σt/σt′, each with its slope by q."""
+        s, s_q = (1 - aq * aq / 3) / (1 - self.g), -2 * aq / 3 / (1 - self.g)
+        return s, s_q, s + aq * aq / 3, s_q + 2 * aq / 3
+
+    def _first(self, e: Engine, q: Any, x: Any) -> Look:
+        """Light scattered once."""
+        xp = e.xp
+        aq = xp.maximum(xp.abs(q), SMALLEST_Q)
+        s, s_q, t, t_q = self._scatter(aq)
+        rho = t * x
+        w = xp.log1p(rho / RHO_ZERO) / W_MAX
+        level, level_w = _spline(e, self.first[None], xp.minimum(w, 1.0))
+        value = s / x * xp.exp(level - self.first_decay * rho)
+        slope = xp.where(w < 1, level_w, 0.0) * rho / (rho + RHO_ZERO) / W_MAX - self.first_decay * rho
+        return value, value * (slope - 1), xp.sign(q) * value * (s_q / s + slope * t_q / t)
+
+    def radiance(self, e: Engine, q: Any, x: Any, mu: float, cos_2: Any, along: Any) -> Look:
+        xp = e.xp
+        aq = xp.maximum(xp.abs(q), SMALLEST_Q)
+        u, u_q = _u(xp, aq)
+        mean, across = _exit_bases(self.eta, mu)
+        row, row_u = _rows(xp, self.angles, u[:, 0])
+        n = row.shape[-1]
+        cell, f, v_x, inside = _along_v(xp, x, n)
+        parts = []
+        for basis, k in ((mean, slice(0, mean.size)), (across, slice(mean.size, None))):
+            here, here_u = ((basis[:, None, None] * each[:, k]).sum(1) for each in (row, row_u))
+            value, by_v = _cubic(e.take(here, cell), f, n)
+            by_u = _cubic(e.take(here_u, cell), f, n)[0]
+            parts.append((value, xp.where(inside, by_v, 0.0) * v_x, by_u * u_q * xp.sign(q)))
+        lobe, lobe_x, lobe_q = (a - cos_2 * b for a, b in zip(*parts, strict=True))
+        m, m_x, m_q = self._multiple(e, q, x)
+        once, once_x, once_q = self._first_radiance(e, q, x, mu)
+        return (
+            m * lobe + along * once,
+            m_x * lobe + m * lobe_x + along * once_x,
+            m_q * lobe + m * lobe_q + along * once_q,
+        )
+
+    def _first_radiance(self, e: Engine, q: Any, x: Any, mu: float) -> Look:
+        """π L⁽¹⁾, the mean over all azimuths; see `single.first_order_bin_average` for the geometry."""
+        xp = e.xp
+        aq = xp.maximum(xp.abs(q), SMALLEST_Q)
+        s, s_q, t, t_q = self._scatter(aq)
+        sine = float(np.sqrt(1 - mu * mu))
+        inside = float(np.sqrt(1 - (sine / self.eta) ** 2))
+        safe = max(sine, float(np.finfo(float).tiny) ** 0.25)
+        per_x = t * self.eta * (1 + inside) / safe
+        phase = (1 - self.g**2) / (4 * np.pi) * (1 + self.g**2 + 2 * self.g * inside) ** -1.5
+        out = phase * transmittance(np, self.eta, mu) / safe
+        value = s * out * xp.exp(-per_x * x) / (2 * self.eta * x)
+        return value, value * (-1 - per_x * x), xp.sign(q) * value * (s_q / s - per_x * x * t_q / t)
+
+    def total_radiance_factor(self, e: Engine, q: Any, mu: float) -> Any:
+        u, _ = _u(e.xp, e.xp.maximum(e.xp.abs(q), SMALLEST_Q))
+        mean, _ = _exit_bases(self.eta, mu)
+        return sum(float(b) * _spline(e, self.total_angles[k][None], u)[0] for k, b in enumerate(mean))
+
+    def shape_sd(self, e: Engine, q: Any, x: Any) -> Any:
+        """Of the light scattered twice or more, at the nearest albedo of the table; by all light."""
+        xp = e.xp
+        aq = xp.minimum(xp.maximum(xp.abs(q), SMALLEST_Q), self.q_max)
+        rows, n = self.log_curve_sd.shape
+        row = xp.clip((_u(xp, aq)[0] * (rows - 1) + 0.5).astype(xp.int32), 0, rows - 1)
+        t = xp.clip(xp.log1p(x / R_ZERO) / V_MAX, 0, 1) * (n - 1)
+        at = xp.minimum(t.astype(xp.int32), n - 2)
+        sd = xp.asarray(self.log_curve_sd)
+        return sd[row, at] * (1 - (t - at)) + sd[row, at + 1] * (t - at)
+
+
+KNOT_STEP = float(V_MAX) / 46
+"""Between neighbouring knots of the table's curve in ln(x + R_ZERO): their Monte Carlo errors are independent."""
+
+
+def dipole(eta: float) -> Dipole:
+    """The dipole of an interface of index `eta`."""
+    return Dipole(float(eta), boundary_a(float(eta)))
+
+
+def q_of_total(e: Engine, model: Light, total_r: Any) -> Any:
+    """The q in the model's range whose total is nearest to R: Newton in ln R, kept in a bracket."""
+    xp = e.xp
+    target = xp.log(total_r)
+
+    def narrow(state: tuple[Any, ...]) -> tuple[Any, ...]:
+        n, lo, hi, q = state
+        total, slope = model.total(e, q)
+        above = total > total_r
+        lo, hi = xp.where(above, q, lo), xp.where(above, hi, q)
+        new = q - (xp.log(total) - target) * total / slope
+        return n + 1, lo, hi, xp.where((new >= lo) & (new <= hi), new, (lo + hi) / 2)
+
+    lo = xp.zeros_like(total_r)
+    hi = lo + model.q_max
+    first = xp.clip(-target / 1.5, 1e-3, model.q_max)
+    *_, q = e.loop(lambda s: s[0] < 24, narrow, (xp.asarray(0), lo, hi, first))
+    q = xp.where(model.total(e, lo)[0] <= total_r, 0.0, q)
+    return xp.where(model.total(e, lo + model.q_max)[0] >= total_r, model.q_max, q)
+
+
+def transmittance(xp: Any, eta: Any, mu: Any) -> Any:
+    """Ft at the outside cosine `mu`; 0 where an `eta` below 1 reflects all."""
+    refracted2 = (eta - 1) * (eta + 1) + mu * mu
+    inside = xp.sqrt(xp.maximum(refracted2, 0.0))
+    r_s, r_p = (mu - inside) / (mu + inside), (eta * eta * mu - inside) / (eta * eta * mu + inside)
+    return xp.where(refracted2 > 0, 1 - (r_s * r_s + r_p * r_p) / 2, 0.0)
+
+
+def exit_norm(eta: float) -> float:
+    """C = 2∫₀¹ Ft(eta, μ) μ dμ over outside directions; see `fresnel.exit_norm`."""
+    denser = max(eta, 1 / eta)
+    met = float((3 * _WEIGHTS * _U**5 * transmittance(np, denser, _U**3)).sum())
+    return met if eta >= 1 else met / denser**2
+
+
+def boundary_a(eta: float) -> float:
+    """A by the paper's polynomial for 1 < eta ≤ 2, and by quadrature elsewhere; see `fresnel.boundary_a`."""
+    fdr = -1.440 / eta**2 + 0.710 / eta + 0.668 + 0.0636 * eta
+    if not 1 < eta <= 2:
+        fdr = 1 - exit_norm(1 / eta)
+    return (1 + fdr) / (1 - fdr)
+
+
+def coefficients(log_sigma_tp: Any, q: Any) -> tuple[Any, Any]:
+    """(σa, σs′) [1/mm]; σa is 0 where q is below 0."""
+    absorbed = np.maximum(q, 0.0) ** 2 / 3
+    return np.exp(log_sigma_tp) * absorbed, np.exp(log_sigma_tp) * (1 - absorbed)
+
+
+def shape_of(sigma_a: Any, sigma_sp: Any) -> tuple[Any, Any]:
+    """(ln σt′, q) of the coefficients [1/mm]."""
+    sigma_tp = sigma_a + sigma_sp
+    return np.log(sigma_tp), np.sqrt(3 * sigma_a / sigma_tp)
+
+
+def _added(a: Look, b: Look) -> Look:
+    return a[0] + b[0], a[1] + b[1], a[2] + b[2]
+
+
+def _u(xp: Any, aq: Any) -> tuple[Any, Any]:
+    """u/U_MAX, along which light varies evenly with q, and its slope by q."""
+    big = xp.sqrt(aq * aq / 3 + _EPS)
+    albedo = 1 - aq * aq / 3
+    u = (xp.log1p(big / Q_ZERO) - xp.log(albedo) / 2) / U_MAX
+    return u, (aq / 3 / big / (big + Q_ZERO) + aq / 3 / albedo) / U_MAX
+
+
+def _along_v(xp: Any, x: Any, n: int) -> tuple[Any, Any, Any, Any]:
+    """Cell and place in it along v = ln(1 + x/R_ZERO), dv/d ln x over V_MAX, and whether x lies in the table."""
+    v = xp.log1p(x / R_ZERO) / V_MAX
+    cell, f = _cell(xp, xp.minimum(v, 1.0), n)
+    return cell, f, x / (x + R_ZERO) / V_MAX, v < 1
+
+
+def _cell(xp: Any, t: Any, n: int) -> tuple[Any, Any]:
+    cell = xp.clip((t * n).astype(xp.int32), 0, n - 1)
+    return cell, t * n - cell
+
+
+def _cubic(powers: tuple[Any, ...], f: Any, n: int) -> tuple[Any, Any]:
+    """Value and slope by t ∈ [0, 1] of cubics over n cells."""
+    a, b, c, d = powers
+    return ((d * f + c) * f + b) * f + a, ((3 * d * f + 2 * c) * f + b) * n
+
+
+def _spline(e: Engine, cells: Any, t: Any) -> tuple[Any, Any]:
+    """One spline for all rows: cells (1, 4, n), t of any shape; value and slope by t."""
+    n = cells.shape[-1]
+    cell, f = _cell(e.xp, t, n)
+    powers = tuple(each.reshape(t.shape) for each in e.take(cells, cell.reshape(1, -1)))
+    return _cubic(powers, f, n)
+
+
+def _rows(xp: Any, table: Any, t: Any) -> tuple[Any, Any]:
+    """What B-spline coefficients along a table's first axis hold at t (b,) in [0, 1], and the slope by t."""
+    n_cells = table.shape[0] - 3
+    table = xp.asarray(table)
+    first = xp.clip((t * n_cells).astype(xp.int32), 0, n_cells - 1)
+    f = (t * n_cells - first).reshape((-1,) + (1,) * (table.ndim - 1))
+    h = 1 - f
+    weights = (h**3 / 6, 2 / 3 - f * f * (1 - f / 2), 2 / 3 - h * h * (1 - h / 2), f**3 / 6)
+    slopes = (-h * h / 2, f * (1.5 * f - 2), h * (2 - 1.5 * h), f * f / 2)
+    rows = [table[first + k] for k in range(4)]
+    value = sum(w * r for w, r in zip(weights, rows, strict=True))
+    return value, n_cells * sum(w * r for w, r in zip(slopes, rows, strict=True))
+
+
+def _exit_bases(eta: float, mu: float) -> tuple[Any, Any]:
+    """Ft times Legendre polynomials of the cosine inside: for the mean over azimuths, and for what an azimuth adds."""
+    inside = np.sqrt(1 - (1 - mu * mu) / eta**2)
+    grazing = np.sqrt(1 - 1 / eta**2)
+    centred = (2 * inside - 1 - grazing) / (1 - grazing)
+    polynomials = np.polynomial.legendre.legvander(np.asarray(centred), 4).ravel()
+    through = float(transmittance(np, eta, mu))
+    return through * polynomials, through * (1 - mu * mu) / eta**2 * polynomials[:3]
+
+
+def table_of(model: Any) -> Table:
+    """The arrays of a white table, by name, as this module's Table."""
+    names = [n for n in Table._fields if n not in Table._field_defaults]
+    arrays: dict[str, Any] = {name: np.asarray(getattr(model, name)) for name in names}
+    return Table(**arrays)._replace(eta=float(model.eta), g=float(model.g))
