@@ -49,13 +49,26 @@ def fit(out: Path | None, force: bool) -> None:
 @OUT
 @FORCE
 @click.option("--trials", type=click.IntRange(2), default=64, show_default=True, help="For each cell.")
-def trials(out: Path | None, force: bool, trials: int) -> None:
+@click.option("--scale-sd", type=float, default=0.0, help="Relative error of the scale, drawn for each trial.")
+@click.option("--length-sd", type=float, default=0.0, help="Relative error of lengths, drawn for each trial.")
+@click.option(
+    "--model", "models", multiple=True, type=click.Choice(["mc", "dipole", "auto"]), help="Default: all three."
+)
+def trials(
+    out: Path | None, force: bool, trials: int, scale_sd: float, length_sd: float, models: tuple[Any, ...]
+) -> None:
     """Fit the engine's own light of every cell of the table, again and again: errors, bounds, intervals."""
-    from bssrdf.bench.trials import run_trials, table
+    from bssrdf.bench.trials import MODELS, Drawn, run_trials, table
     from bssrdf.report.progress import steps
 
     with steps(quiet=is_quiet()) as progress:
-        outcomes = run_trials(out=_folder(out, force), progress=progress, trials=trials)
+        outcomes = run_trials(
+            out=_folder(out, force),
+            progress=progress,
+            trials=trials,
+            models=models or MODELS,
+            drawn=Drawn(scale_sd, length_sd),
+        )
     click.echo(table(outcomes))
 
 

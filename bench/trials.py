@@ -1,7 +1,8 @@
 """`bssrdf bench trials`: does a fit find what made the light, and do its intervals hold it?
 
 Each cell of the material table is walked by the engine (`trial_light`). A trial is that light with fresh noise, 1 % a
-radius and 0.2 % on R, fitted by `soft`. The walk's own noise is counted as part of the 1 %.
+radius and 0.2 % on R, and with errors of scale and length drawn for the whole of it, fitted by `soft`. The walk's own
+noise is counted as part of the 1 %; trials of a cell share it, so what all cells come to is bootstrapped over cells.
 """
 
 from __future__ import annotations
@@ -13,19 +14,15 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Literal, NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jax import Array
 from numpy.typing import NDArray
 
-from bssrdf.bench.trial_light import N_RADII, Cell, TrialLight, edges_mm, shipped
-from bssrdf.fit.choose import model_of
-from bssrdf.fit.predict import Parameters, curve_with_slopes, total_slope
+from bssrdf.bench.trial_light import Cell, TrialLight, edges_mm, shipped
+from bssrdf.fit.models import shipped_table
 from bssrdf.fit.run import FitOptions, fit_slices
 from bssrdf.session.records import ChannelFit, ChannelSlice, Slice
-from bssrdf.transport.forward import ForwardModel
-from bssrdf.transport.precision import scoped_x64
+from bssrdf.transport.arrays import NUMPY
+from bssrdf.transport.light import shape_of
 
 Floats = NDArray[np.float64]
 ModelName = Literal["mc", "dipole", "auto"]
@@ -61,18 +58,31 @@ class Outcome:
     inside: tuple[int, int]
     """95 % intervals that hold the truth, of the `judged` fits."""
     judged: int
-    """Fits that converged with two-sided intervals and no flag."""
+    """Fits that converged, with two-sided intervals."""
     apart_inside: tuple[int, int]
-    """The same of the others."""
-    rms: float
-    """Of the errors of both coefficients together."""
+    """The same of bounds."""
+    refused: int
+    """Fits that were rejected or found unidentifiable."""
+    width: tuple[float, float]
+    """Median half width of the intervals in ln σ, over that of Cramér–Rao."""
+    rms: tuple[float, float]
+    """Of the errors."""
     flags: dict[str, int]
     """How often each was raised."""
     models: dict[str, int]
     """Which model each fit took."""
 
 
-@scoped_x64
+class Drawn(NamedTuple):
+    """Relative standard deviations of the errors that a whole trial shares."""
+
+    scale: float = 0.0
+    length: float = 0.0
+
+
+NOTHING = Drawn()
+
+
 def run_trials(
     *,
     out: Path | None = None,
@@ -81,17 +91,19 @@ def run_trials(
     trials: int = TRIALS,
     noise: float = NOISE,
     models: Sequence[ModelName] = MODELS,
+    drawn: Drawn = NOTHING,
 ) -> list[Outcome]:
     """Fit all trials of every cell by every model; with `out` also write trials.json there."""
     lights = list(shipped().values()) if lights is None else lights
-    slices = [piece for at, light in enumerate(lights) for piece in slices_of(light, trials, noise, SEED + at)]
+    slices = [piece for at, light in enumerate(lights) for piece in slices_of(light, trials, noise, SEED + at, drawn)]
     outcomes = []
     for number, model in enumerate(models):
         if progress is not None:
             progress(model, number, len(models))
         fits = [fit["G"] for fit in fit_slices(slices, FitOptions(model=model, constraint="soft"))]
         outcomes += [
-            outcome_of(light, model, fits[at * trials : (at + 1) * trials], noise) for at, light in enumerate(lights)
+            outcome_of(light, model, fits[at * trials : (at + 1) * trials], noise, drawn)
+            for at, light in enumerate(lights)
         ]
     if out is not None:
         out.mkdir(parents=True, exist_ok=True)
@@ -123,16 +135,18 @@ def summary(outcomes: Sequence[Outcome]) -> list[str]:
         by_model.setdefault(each.model, []).append(each)
     lines = []
     for model, group in by_model.items():
-        judged, apart = sum(o.judged for o in group), sum(o.trials - o.judged for o in group)
+        judged, apart = sum(o.judged for o in group), sum(o.trials - o.judged - o.refused for o in group)
         for at, name in enumerate(("σs′", "σa")):
             inside, outside = sum(o.inside[at] for o in group), sum(o.apart_inside[at] for o in group)
             ratio = np.sqrt(np.mean([(o.sd[at] / o.bound_of_noise[at]) ** 2 for o in group if o.judged]))
-            worst = max((o.median_error[at], o.cell) for o in group)
+            lo, hi = bootstrapped(group, at)
             lines.append(
-                f"{model}, {name}: intervals hold {inside} of {judged} judged ({100 * inside / max(judged, 1):.1f} %), "
-                f"{outside} of {apart} flagged or one-sided; sd {ratio:.2f} × the bound; "
-                f"largest median error {100 * worst[0]:.2f} % ({worst[1]})"
+                f"{model}, {name}: rms {100 * np.median([o.rms[at] for o in group]):.2f} % (median over cells), "
+                f"intervals hold {inside} of {judged} ({100 * inside / max(judged, 1):.1f} %, {lo:.1f} to {hi:.1f} over cells), "
+                f"{outside} of {apart} bounds; width {np.median([o.width[at] for o in group]):.2f} and sd {ratio:.2f} "
+                f"× the bound"
             )
+        lines.append(f"{model}: {sum(o.refused for o in group)} of {sum(o.trials for o in group)} refused")
     for at, name in enumerate(("σs′", "σa")):
         covered = [abs(o.bias[at]) <= o.model_error[at] + 2 * bias_sd(o, at) for o in by_model.get("dipole", [])]
         if covered:
@@ -140,6 +154,16 @@ def summary(outcomes: Sequence[Outcome]) -> list[str]:
     if {"mc", "dipole", "auto"} <= set(by_model):
         lines.append("auto against the better model, worst cell: {:.2f} ({})".format(*_auto_at_worst(by_model)))
     return lines
+
+
+def bootstrapped(group: Sequence[Outcome], at: int) -> tuple[float, float]:
+    """The middle 95 % of the share of intervals that hold [%], cells drawn anew."""
+    rng = np.random.default_rng(SEED)
+    drawn = rng.integers(0, len(group), (2000, len(group)))
+    inside = np.array([o.inside[at] for o in group], float)[drawn].sum(1)
+    judged = np.array([o.judged for o in group], float)[drawn].sum(1)
+    lo, hi = np.quantile(100 * inside / np.maximum(judged, 1), (0.025, 0.975))
+    return float(lo), float(hi)
 
 
 def bias_sd(outcome: Outcome, at: int) -> float:
@@ -151,11 +175,11 @@ def bias_sd(outcome: Outcome, at: int) -> float:
 
 def _auto_at_worst(by_model: dict[str, list[Outcome]]) -> tuple[float, str]:
     rows = zip(by_model["auto"], by_model["mc"], by_model["dipole"], strict=True)
-    return max((auto.rms / min(mc.rms, dipole.rms), auto.cell) for auto, mc, dipole in rows)
+    return max((sum(auto.rms) / min(sum(mc.rms), sum(dipole.rms)), auto.cell) for auto, mc, dipole in rows)
 
 
-def slices_of(light: TrialLight, trials: int, noise: float, seed: int) -> list[Slice]:
-    """The same light with fresh noise each time."""
+def slices_of(light: TrialLight, trials: int, noise: float, seed: int, shared: Drawn = NOTHING) -> list[Slice]:
+    """The same light with fresh noise each time, and fresh errors of scale and length, which are stated."""
     rng = np.random.default_rng(seed)
     edges, used = edges_mm(light.cell), light.used
     r_lo, r_hi, rd = edges[:-1][used], edges[1:][used], light.rd[used]
@@ -163,7 +187,9 @@ def slices_of(light: TrialLight, trials: int, noise: float, seed: int) -> list[S
     pieces = []
     for _ in range(trials):
         noisy = rd * (1 + drawn.curve * rng.standard_normal(rd.size))
-        channel = ChannelSlice((r_lo + r_hi) / 2, noisy, stated.curve * rd, r_lo, r_hi)
+        scale, length = 1 + np.array(shared) * rng.standard_normal(2)
+        lo, hi, per_mm2 = r_lo * length, r_hi * length, scale / length**2
+        channel = ChannelSlice((lo + hi) / 2, per_mm2 * noisy, per_mm2 * stated.curve * rd, lo, hi)
         pieces.append(
             Slice(
                 channels={"G": channel},
@@ -171,8 +197,10 @@ def slices_of(light: TrialLight, trials: int, noise: float, seed: int) -> list[S
                 g=0.0,
                 flux="entering",
                 exit="hemisphere",
-                total_r={"G": light.total * (1 + drawn.total * rng.standard_normal())},
+                total_r={"G": scale * light.total * (1 + drawn.total * rng.standard_normal())},
                 total_r_sd={"G": stated.total * light.total},
+                scale_rel_sd=shared.scale,
+                mm_rel_sd=shared.length,
             )
         )
     return pieces
@@ -195,55 +223,62 @@ def noise_of(light: TrialLight, noise: float) -> tuple[Noise, Noise]:
     return stated, drawn
 
 
-def cramer_rao(light: TrialLight, noise: Noise) -> tuple[float, float]:
-    """Least relative sd of (σs′, σa) that any unbiased estimate can have, by the table's derivatives at the truth."""
+def cramer_rao(light: TrialLight, noise: Noise, shared: Drawn = NOTHING) -> tuple[float, float]:
+    """Least relative sd of (σs′, σa) that any unbiased estimate can have, by the table's derivatives at the truth.
+
+    The covariance of the data is that of the noise and, scaled by the light, of the shared errors.
+    """
     cell = light.cell
-    edges = edges_mm(cell)[-N_RADII - 1 :]
-    used = slice(0, light.rd[light.used].size)
-    sigma_tp = cell.sigma_a + cell.sigma_sp
-    q = np.sqrt(3 * cell.sigma_a / sigma_tp)
-    point = Parameters(jnp.asarray(np.log(sigma_tp)), jnp.asarray(q), jnp.asarray(0.0))
-    model = model_of("mc", cell.eta, 0.0)
-    (made, *by), by_q = _derivatives(model, point, jnp.asarray(edges[:-1]), jnp.asarray(edges[1:]))
-    slopes = np.stack(by)[:, used] / (np.asarray(made)[used] * noise.curve)
-    information = slopes @ slopes.T
-    information[1, 1] += (float(by_q) / (noise.total * light.total)) ** 2
-    covariance = np.linalg.inv(information)
-    to_log = np.array([[1.0, -2 * q / 3 / (1 - q * q / 3)], [1.0, 2 / q]])
-    sd_sp, sd_a = np.sqrt(np.diag(to_log @ covariance @ to_log.T))
+    edges, model = edges_mm(cell), shipped_table(light.cell.eta, 0.0)
+    log_sigma, q = (np.full((1, 1), each) for each in shape_of(cell.sigma_a, cell.sigma_sp))
+    middle = ((edges[:-1] + edges[1:]) / 2)[light.used] * np.exp(log_sigma)
+    value, by_x, by_q = (each[0] for each in model.look(NUMPY, q, middle))
+    by_length = 2 + by_x / value
+    total, total_by_q = (float(each[0, 0]) for each in model.total(NUMPY, q))
+    slopes = np.stack([np.append(by_length, 0.0), np.append(by_q / value, total_by_q / total)])
+    common = np.stack([np.ones(value.size + 1), np.append(by_length, 0.0)]) * np.array(shared)[:, None]
+    covariance = np.diag(np.square(np.append(noise.curve, noise.total))) + common.T @ common
+    least = np.linalg.inv(slopes @ np.linalg.solve(covariance, slopes.T))
+    root = float(q[0, 0])
+    to_log = np.array([[1.0, -2 * root / 3 / (1 - root * root / 3)], [1.0, 2 / root]])
+    sd_sp, sd_a = np.sqrt(np.diag(to_log @ least @ to_log.T))
     return float(sd_sp), float(sd_a)
 
 
-@jax.jit
-def _derivatives(
-    model: ForwardModel, point: Parameters, r_lo: Array, r_hi: Array
-) -> tuple[tuple[Array, Array, Array], Array]:
-    """R_d and its derivatives by ln σt′ and q, and that of R by q."""
-    return curve_with_slopes(model, point, r_lo, r_hi, True), total_slope(model, point.q)
-
-
-def outcome_of(light: TrialLight, model: ModelName, fits: Sequence[ChannelFit], noise: float) -> Outcome:
+def outcome_of(
+    light: TrialLight, model: ModelName, fits: Sequence[ChannelFit], noise: float, shared: Drawn = NOTHING
+) -> Outcome:
+    """What the trials of a cell come to."""
     cell, (stated, drawn) = light.cell, noise_of(light, noise)
     truth = (cell.sigma_sp, cell.sigma_a)
+    bound = cramer_rao(light, stated, shared)
     relative = np.array([[getattr(fit, f"{key}_per_mm") for key in KEYS] for fit in fits]) / truth - 1
     model_error = np.array([[fit.model_error.get(key, np.nan) for key in KEYS] for fit in fits])
-    plain = np.array([not fit.flags and fit.status == "converged" for fit in fits])
+    plain = np.array([fit.status == "converged" for fit in fits])
+    bounds = np.array([fit.status == "upper_bound" for fit in fits])
     inside = np.array([_holds(fit, cell) for fit in fits])
+    ends = np.array([[getattr(fit, f"{key}_interval95_per_mm") for key in KEYS] for fit in fits])[plain]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        width = (
+            np.median(np.log(ends[:, :, 1] / ends[:, :, 0]), axis=0) / (2 * 1.96) / bound if len(ends) else np.ones(2)
+        )
     return Outcome(
         cell=cell.name,
         model=model,
         trials=len(fits),
         light_noise=light.noise,
-        median_error=_pair(np.median(np.abs(relative), axis=0)),
-        bias=_pair(np.median(relative, axis=0)),
-        model_error=_pair(np.median(model_error, axis=0)),
-        bound=cramer_rao(light, stated),
-        sd=_pair(np.std(relative, axis=0, ddof=1)),
-        bound_of_noise=cramer_rao(light, drawn),
+        median_error=_pair(np.nanmedian(np.abs(relative), axis=0)),
+        bias=_pair(np.nanmedian(relative, axis=0)),
+        model_error=_pair(np.nanmedian(model_error, axis=0)),
+        bound=bound,
+        sd=_pair(np.nanstd(relative, axis=0, ddof=1)),
+        bound_of_noise=cramer_rao(light, drawn, shared),
         inside=_counts(inside[plain]),
         judged=int(plain.sum()),
-        apart_inside=_counts(inside[~plain]),
-        rms=float(np.sqrt(np.mean(np.sum(relative**2, axis=1)))),
+        apart_inside=_counts(inside[bounds]),
+        refused=int((~plain & ~bounds).sum()),
+        width=_pair(width),
+        rms=_pair(np.sqrt(np.nanmean(relative**2, axis=0))),
         flags=dict(Counter(flag for fit in fits for flag in fit.flags)),
         models=dict(Counter(fit.model for fit in fits)),
     )

@@ -30,8 +30,9 @@ from bssrdf.transport.arrays import Engine
 from bssrdf.transport.light import Light, q_of_total
 from bssrdf.transport.table_grid import R_MAX
 
-MAX_STEPS = 60
-LAYS = 12
+MAX_STEPS = 40
+START_STEPS = 15
+LAYS = 8
 """Times that exit law, spot and responses are worked out anew; two or three suffice but for dark media."""
 REST = 1e-8
 """In the parameters, of order 1: below this neither point nor weights move."""
@@ -100,7 +101,7 @@ def starts(e: Engine, plan: Plan, model: Light, data: Problem) -> list[tuple[Poi
     for each in candidates:
         begun = _scanned(e, model, few, each, plan.scale_free)
         laid = lay_plainly(e, plain, few, begun)
-        ended = optimise(e, plain, model, few, laid, begun, ROUGH, relay=True)
+        ended = optimise(e, plain, model, few, laid, begun, ROUGH, relay=True, most=START_STEPS)
         finite = e.xp.isfinite(sum(ended.point))
         point = Point(*(e.xp.where(finite, new, old) for new, old in zip(ended.point, begun, strict=True)))
         found.append((point, _misfit(e, plain, model, few, point)))
@@ -136,6 +137,7 @@ def optimise(
     weights: Weights | None = None,
     shared: Any = None,
     held_q: bool = False,
+    most: int = MAX_STEPS,
 ) -> Solution:
     """Damped Gauss–Newton from `begin`; with `relay` the weights follow each step, else they stay as given."""
     xp = e.xp
@@ -176,7 +178,7 @@ def optimise(
     k = shared.shape[1]
     here = Marginal(zeros + np.inf, xp.zeros((b, p)), xp.zeros((b, p, p)) + xp.eye(p), shared, xp.zeros((b, k, p)))
     first = _State(begin, begin, here, by, zeros, xp.zeros(b, dtype=xp.int32), zeros > 1)
-    last = e.loop(lambda s: ~s.done & (s.steps < MAX_STEPS), step, first)
+    last = e.loop(lambda s: ~s.done & (s.steps < most), step, first)
     point = _chosen(xp, last.damping < 1, last.trial, last.best)
     return Solution(
         point, laid, last.weights, last.here.shared, last.here.cost, last.done & xp.isfinite(last.here.cost)

@@ -30,6 +30,8 @@ CHANNEL = ChannelFit(
     chi2_reduced=1.04,
     status="converged",
     model_error={"sigma_a": 0.06, "sigma_sp": 0.02},
+    budget={"sigma_a": {"noise": 0.75, "total": 0.25}, "sigma_sp": {"noise": 0.5, "scale": 0.5}},
+    not_stated=("g",),
 )
 FIT = Fit("0.1.0", "s/measured/slice.csv", "ab" * 32, {"model": "auto"}, "marble", 1.5, 0.0, {"R": CHANNEL})
 LAYOUT: dict[str, Any] = {
@@ -51,6 +53,11 @@ LAYOUT: dict[str, Any] = {
             "sigma_sp_interval95_per_mm": [2.15, 2.23],
             "correlation": -0.93,
             "model_error": {"sigma_a": 0.06, "sigma_sp": 0.02},
+            "budget": {
+                "sigma_a": {"noise": 0.75, "total": 0.25},
+                "sigma_sp": {"noise": 0.5, "scale": 0.5},
+                "not_stated": ["g"],
+            },
             "total_r_measured": 0.830,
             "total_r_model": 0.826,
             "window_mm": [0.5, 12.0],
@@ -98,7 +105,7 @@ def test_line_is_one_compact_object() -> None:
     assert json.loads(line) == LAYOUT | {"material": "a\nb"}
 
 
-@pytest.mark.parametrize("key", sorted(asdict(CHANNEL).keys() - {"model_error", "sensitivity"}))
+@pytest.mark.parametrize("key", sorted(asdict(CHANNEL).keys() - {"model_error", "sensitivity", "budget", "not_stated"}))
 def test_missing_value_is_named(tmp_path: Path, key: str) -> None:
     document = fit_to_dict(FIT)
     del document["channels"]["R"][key]
