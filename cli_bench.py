@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Literal
 
 import click
 
@@ -55,7 +56,12 @@ def fit(out: Path | None, force: bool) -> None:
     "--model", "models", multiple=True, type=click.Choice(["mc", "dipole", "auto"]), help="Default: all three."
 )
 def trials(
-    out: Path | None, force: bool, trials: int, scale_sd: float, length_sd: float, models: tuple[Any, ...]
+    out: Path | None,
+    force: bool,
+    trials: int,
+    scale_sd: float,
+    length_sd: float,
+    models: tuple[Literal["mc", "dipole", "auto"], ...],
 ) -> None:
     """Fit the engine's own light of every cell of the table, again and again: errors, bounds, intervals."""
     from bssrdf.bench.trials import MODELS, Drawn, run_trials, table

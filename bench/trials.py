@@ -114,8 +114,8 @@ def run_trials(
 def table(outcomes: Sequence[Outcome]) -> str:
     """A line for each cell and model, and what they come to, as Markdown."""
     lines = [
-        "| cell | model | light's own noise | error σs′ / σa, median % | bound % | sd / bound | intervals that hold |",
-        "|---|---|---:|---:|---:|---:|---:|",
+        "| cell | model | light's noise | error σs′ / σa, median % | bound % | sd / bound | hold | refused |",
+        "|---|---|---:|---:|---:|---:|---:|---:|",
     ]
     for o in outcomes:
         ratio = [sd / bound for sd, bound in zip(o.sd, o.bound_of_noise, strict=True)]
@@ -123,7 +123,7 @@ def table(outcomes: Sequence[Outcome]) -> str:
             f"| {o.cell} | {o.model} | {100 * o.light_noise:.2f} % "
             f"| {100 * o.median_error[0]:.2f} / {100 * o.median_error[1]:.2f} "
             f"| {100 * o.bound[0]:.2f} / {100 * o.bound[1]:.2f} | {ratio[0]:.2f} / {ratio[1]:.2f} "
-            f"| {o.inside[0]} / {o.inside[1]} of {o.judged} |"
+            f"| {o.inside[0]} / {o.inside[1]} of {o.judged} | {o.refused or ''} |"
         )
     return "\n".join([*lines, "", *summary(outcomes)])
 
@@ -141,10 +141,10 @@ def summary(outcomes: Sequence[Outcome]) -> list[str]:
             ratio = np.sqrt(np.mean([(o.sd[at] / o.bound_of_noise[at]) ** 2 for o in group if o.judged]))
             lo, hi = bootstrapped(group, at)
             lines.append(
-                f"{model}, {name}: rms {100 * np.median([o.rms[at] for o in group]):.2f} % (median over cells), "
-                f"intervals hold {inside} of {judged} ({100 * inside / max(judged, 1):.1f} %, {lo:.1f} to {hi:.1f} over cells), "
-                f"{outside} of {apart} bounds; width {np.median([o.width[at] for o in group]):.2f} and sd {ratio:.2f} "
-                f"× the bound"
+                f"{model}, {name}: rms {100 * np.nanmedian([o.rms[at] for o in group]):.2f} % (median over cells), "
+                f"intervals hold {inside} of {judged} ({100 * inside / max(judged, 1):.1f} %, {lo:.1f} to {hi:.1f} "
+                f"over cells), {outside} of {apart} bounds; width {np.median([o.width[at] for o in group]):.2f} and "
+                f"sd {ratio:.2f} × the bound"
             )
         lines.append(f"{model}: {sum(o.refused for o in group)} of {sum(o.trials for o in group)} refused")
     for at, name in enumerate(("σs′", "σa")):
