@@ -262,7 +262,7 @@ SLICE_KEYS = (
     click.option("--mm-rel-sd", type=float, help="Relative error of the length scale."),
     click.option("--shared-errors", help="Slices of the same text share errors of scale and length."),
     click.option("--material", help="Name of the material."),
-    click.option("--unit", type=click.Choice(["mm", "cm", "m"]), help="Of radii; R_d is in 1 over its square."),
+    click.option("--unit", type=click.Choice(["mm", "cm", "m", "um"]), help="Of radii; R_d is in 1 over its square."),
 )
 """Keys of slice.csv, which win over the file's."""
 

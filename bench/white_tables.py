@@ -23,7 +23,11 @@ from bssrdf.transport.white_samples import WhiteSamples, sample
 
 ETAS = (1.3, 1.33, 1.4, 1.5)
 GS = (0.0, 0.35, 0.6, 0.75, 0.8, 0.9)
+WIDE_ETAS = (1.0, 1.15, 1.4, 1.7, 2.1, 2.5, 3.0)
+WIDE_GS = (0.0, 0.4, 0.7, 0.85)
+"""The coarse grid, of every index that people ask for."""
 SEED = 20011
+WIDE_SEED = 20012
 REFERENCE_SEED = 711
 REFERENCE_MEDIA = {
     "ketchup_b": (1.45, 0.03, 0.0, 1.3),
@@ -36,7 +40,7 @@ REFERENCE_MEDIA = {
     "half_forward": (0.03, 1.0, 0.5, 1.45),
 }
 """σa, σs′ [1/mm], g, η."""
-TABLES = Path(__file__).parent.parent / "transport" / "tables" / "white.npz"
+FOLDER = Path(__file__).parent.parent / "transport" / "tables"
 ANGLES_DEG = (0.0, 30.0, 45.0, 60.0)
 
 
@@ -55,12 +59,13 @@ def load_samples(path: Path) -> WhiteSamples:
     )
 
 
-def sample_all(out: Path, gs: Sequence[float], core_seconds: float, n_threads: int) -> None:
+def sample_all(out: Path, gs: Sequence[float], core_seconds: float, n_threads: int, *, wide: bool) -> None:
     """Raw samples of each g, one file each: `core_seconds` of processor time on average, more for larger g."""
+    etas, seed = (WIDE_ETAS, WIDE_SEED) if wide else (ETAS, SEED)
     for g in gs:
         began = time.perf_counter()
         share = core_seconds * (0.5 + g) / (0.5 + float(np.mean(GS)))
-        samples = sample(g, np.array(ETAS), share, seed=SEED, n_threads=n_threads)
+        samples = sample(g, np.array(etas), share, seed=seed, n_threads=n_threads)
         save_samples(out / f"samples_g{g:g}.npz", samples)
         print(f"g {g}: {samples.n_photons.sum()} photons, {time.perf_counter() - began:.0f} s", file=sys.stderr)
 
@@ -91,7 +96,7 @@ def reference_all(out: Path, core_seconds: float, n_threads: int) -> None:
     np.savez_compressed(out / "reference.npz", **stored)
 
 
-def compress_all(out: Path, tables: Path) -> None:
+def compress_all(out: Path, tables: Path, *, wide: bool) -> None:
     """The file of tables from the raw samples in `out`."""
     from bssrdf.transport.table_fit import fit_tables
     from bssrdf.transport.table_set import table_set, write_tables
@@ -102,7 +107,7 @@ def compress_all(out: Path, tables: Path) -> None:
         for eta, table in zip(samples.etas, fit_tables(samples), strict=True):
             fitted[samples.g, float(eta)] = table
             print(f"g {samples.g:g}, eta {eta:g}: chi2 {table.chi2:.2f}", file=sys.stderr)
-    write_tables(tables, table_set(fitted))
+    write_tables(tables, table_set(fitted), small=wide)
 
 
 def main() -> None:
@@ -110,17 +115,18 @@ def main() -> None:
     parser.add_argument("what", choices=["sample", "reference", "compress"])
     parser.add_argument("--out", type=Path, required=True, help="folder of the raw samples")
     parser.add_argument("--core-seconds", type=float, default=900.0, help="processor time for a g or a medium")
-    parser.add_argument("--g", type=float, nargs="+", default=GS, help="values of g to sample")
+    parser.add_argument("--wide", action="store_true", help="the coarse grid out to an index of 3")
+    parser.add_argument("--g", type=float, nargs="+", help="values of g to sample, if not all")
     parser.add_argument("--threads", type=int, default=os.cpu_count())
-    parser.add_argument("--tables", type=Path, default=TABLES, help="file that compress writes")
+    parser.add_argument("--tables", type=Path, help="file that compress writes, if not the one that ships")
     args = parser.parse_args()
     args.out.mkdir(parents=True, exist_ok=True)
     if args.what == "sample":
-        sample_all(args.out, args.g, args.core_seconds, args.threads)
+        sample_all(args.out, args.g or (WIDE_GS if args.wide else GS), args.core_seconds, args.threads, wide=args.wide)
     elif args.what == "reference":
         reference_all(args.out, args.core_seconds, args.threads)
     else:
-        compress_all(args.out, args.tables)
+        compress_all(args.out, args.tables or FOLDER / ("wide.npz" if args.wide else "white.npz"), wide=args.wide)
 
 
 if __name__ == "__main__":

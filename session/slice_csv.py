@@ -169,6 +169,11 @@ def _in_mm(path: Path, content: str, unit: str | None) -> str:
     lines = content.split("\n")
     at = next((at for at, line in enumerate(lines) if line.strip()), 0)
     names = [name.strip() for name in lines[at].split(",")]
+    units = dict.fromkeys(filter(None, (column_unit(name) for name in names if in_mm(name) in _COLUMNS)))
+    if len(units) > 1:
+        raise InputError(
+            f"{path}: has columns in {' and in '.join(units)}; write all lengths in one unit, R_d included"
+        )
     for name in names:
         named = column_unit(name)
         if named not in (None, "mm", unit) and in_mm(name) in _COLUMNS:

@@ -8,7 +8,7 @@ import numpy as np
 
 from bssrdf.session.records import Array, ChannelSlice, Slice
 
-MM = {"mm": 1.0, "cm": 10.0, "m": 1000.0}
+MM = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "um": 0.001}
 """Length units by name [mm]."""
 SMALLEST_FAR_MM = 0.1
 """A curve that ends before this is hardly one of a camera or a fibre: most likely its radii are in metres."""

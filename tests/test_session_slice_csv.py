@@ -175,7 +175,7 @@ def curve_text(head: str = BASE, columns: str = "channel,r_mm,rd_per_mm2,sd_per_
     return head + "\n".join([columns, *rows]) + "\n"
 
 
-@pytest.mark.parametrize(("unit", "mm"), [("cm", 10.0), ("m", 1000.0), ("mm", 1.0)])
+@pytest.mark.parametrize(("unit", "mm"), [("cm", 10.0), ("m", 1000.0), ("mm", 1.0), ("um", 1e-3)])
 @pytest.mark.parametrize("named", [True, False])
 @pytest.mark.parametrize("by_key", [True, False])
 def test_a_unit_turns_lengths_and_densities_into_mm(tmp_path: Path, unit: str, mm: float, named: bool, by_key: bool):
@@ -201,9 +201,12 @@ def test_the_command_line_wins_over_the_unit_of_the_file(tmp_path: Path) -> None
     [
         (curve_text(columns="channel,r_cm,rd_per_cm2,sd_per_cm2"), r"r_cm is in cm, not in mm; give --unit cm"),
         (curve_text(columns="channel,r_m,rd_per_m2,sd_per_m2"), r"r_m is in m, not in mm; give --unit m,"),
-        (curve_text(columns="channel,r_mm,rd_per_cm2,sd_per_cm2"), r"rd_per_cm2 is in cm, not in mm"),
+        (
+            curve_text(columns="channel,r_mm,rd_per_cm2,sd_per_cm2"),
+            r"has columns in mm and in cm; write all lengths in one unit",
+        ),
         (curve_text(BASE + '# unit = "cm"\n', "channel,r_m,rd_per_m2,sd_per_m2"), r"r_m is in m, not in cm; rename"),
-        (curve_text(BASE + '# unit = "inch"\n'), r"unit = 'inch' must be one of mm, cm, m"),
+        (curve_text(BASE + '# unit = "inch"\n'), r"unit = 'inch' must be one of mm, cm, m, um"),
         (curve_text().replace(",", ";"), r"separates its fields by semicolons"),
         (BASE + curve_text("").replace(",", "\t").replace(".", ","), r"separates its fields by tabs"),
         (curve_text().replace(",", "|"), r"separates its fields by bars"),

@@ -6,7 +6,7 @@ import hashlib
 import os
 import zipfile
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, NamedTuple
+from typing import IO, TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -86,9 +86,14 @@ def kind_of(beam: Incidence) -> str:
     return f"{KIND} at {beam.angle_deg!r} degrees" + (" across" if beam.across else "")
 
 
-def write_tables(path: Path, tables: TableSet, beam: Incidence = NORMAL) -> None:
-    """Write the tables in single precision; the file appears under its name only when it is whole."""
-    arrays = {name: array.astype(np.float32) for name, array in tables._asdict().items()}
+def write_tables(path: Path, tables: TableSet, beam: Incidence = NORMAL, *, small: bool = False) -> None:
+    """Write the tables in single precision; the file appears under its name only when it is whole.
+
+    `small` keeps errors and angles in half precision, which is 5e-4 of them.
+    """
+    arrays: dict[str, Any] = {name: array.astype(np.float32) for name, array in tables._asdict().items()}
+    if small:
+        arrays |= {name: arrays[name].astype(np.float16) for name in ("log_curve_sd", "angles")}
     arrays["etas"], arrays["gs"] = tables.etas, tables.gs
     part = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
