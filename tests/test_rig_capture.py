@@ -9,6 +9,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -21,8 +22,10 @@ from bssrdf.rig.devices import devices_of
 from bssrdf.rig.locks import lock_ports
 from bssrdf.rig.rig_toml import read_rig
 from bssrdf.rig.sim.launch import SimulatedBench
+from bssrdf.session.constancy import card_of_file
 from bssrdf.session.frame_files import read_frame_file
 from bssrdf.session.frames_csv import read_frames
+from bssrdf.session.records import Card
 from bssrdf.session.session_toml import read_session
 
 pytest.importorskip("gphoto2", reason="python-gphoto2 is not installed")
@@ -97,6 +100,24 @@ def test_every_shutter_gives_the_same_list_of_frames(mended: SimulatedBench, pla
     assert session.geometry is not None
     light, dark = (read_frame_file(tmp_path / "s" / frame[0]).data for frame in EXPECTED[:2])
     assert light.max() > 10 * dark.max() / 2
+    assert {(frame.card.iso, frame.card.layout, frame.card.bits) for frame in read_frames(tmp_path / "s")} == {
+        (100.0, "RGGB", 14)
+    }
+
+
+def test_a_camera_whose_setting_changes_is_stopped_by_name(
+    mended: SimulatedBench, plan: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As by a lens that was touched: the files say it, and the frames before are kept."""
+
+    def turned(file: Path) -> Card:
+        return replace(card_of_file(file), f_number=5.6 if "001_" in file.name else 8.0)
+
+    monkeypatch.setattr("bssrdf.rig.capture.card_of_file", turned)
+    with pytest.raises(DeviceError, match=r"it has f-number 8, not 5\.6 as frames/001_reference_16ms\.dng"):
+        capture(plan, mended.rig_file, tmp_path / "s")
+    assert listed(tmp_path / "s") == EXPECTED[:1]
+    assert not mended.world.status()["open"]
 
 
 def test_a_plan_is_shown_before_it_is_run(mended: SimulatedBench, plan: Path, tmp_path: Path) -> None:
