@@ -17,7 +17,7 @@ _BEGINNINGS = {
     b"v/1\x01": ".exr",
     b"#?RADIANCE": ".hdr",
     b"#?RGBE": ".hdr",
-    **dict.fromkeys((b"P5", b"P6", b"Pf", b"PF"), ".pnm"),
+    **dict.fromkeys((b"P2", b"P3", b"P5", b"P6", b"Pf", b"PF"), ".pnm"),
     b"SIMPLE  =": ".fits",
     b"\x93NUMPY": ".npy",
 }

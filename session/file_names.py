@@ -13,10 +13,10 @@ from pathlib import PurePosixPath
 
 _UNITS = {"s": 1.0, "sec": 1.0, "ms": 1e-3, "msec": 1e-3, "us": 1e-6, "usec": 1e-6, "µs": 1e-6, "μs": 1e-6}
 _TIME = re.compile(
-    r"""(?<![^_\-\s()\[\]=+;@])(?<!\de[-+])             # begins a word, and is no exponent, …
+    r"""(?<![^_\-\s()\[\]=+;@])(?<!\de[-+])(?<!\d\.e[-+])    # begins a word, and is no exponent, …
         (?:exp|exposure|et|t|time|texp|shutter|ss|tv)?=?    # … or follows one that announces a time
         (?:(?P<one>\d+)(?P<bar>[-_/∕⁄／]))?
-        (?P<number>\d+(?:[.,]\d+)?(?:e[+-]?\d+)?)
+        (?P<number>(?:\d*[.,])?\d+(?:e[+-]?\d+)?)
         \s?(?P<unit>s|sec|ms|msec|us|usec|µs|μs)
         (?=[_\-\s.()\[\]+;@]|$)                       # ends a word""",
     re.VERBOSE | re.IGNORECASE,
@@ -41,7 +41,7 @@ def exposure_from_path(relative: PurePosixPath) -> float | None:
 
 def seconds_of(text: str, unit: str = "s") -> float | None:
     """The exposure [s] that a text by itself stands for: by the same grammar, or a bare number of `unit`."""
-    bare = re.fullmatch(r"\s*(?:(\d+)\s*/\s*)?(\d+(?:[.,]\d+)?(?:e[+-]?\d+)?)\s*", text, re.IGNORECASE)
+    bare = re.fullmatch(r"\s*(?:(\d+)\s*/\s*)?((?:\d*[.,])?\d+(?:e[+-]?\d+)?)\s*", text, re.IGNORECASE)
     if bare is None:
         compact = re.sub(r"\s*/\s*", "/", text.strip())
         return exposure_from_name(compact)
@@ -72,6 +72,6 @@ def _readings(name: str, match: re.Match[str]) -> set[float]:
 def _number(text: str) -> float | None:
     """The number; None where a comma may stand for thousands."""
     whole, comma, rest = text.partition(",")
-    if comma and int(whole) and re.match(r"\d{3}(?!\d)", rest):
+    if comma and int(whole or 0) and re.match(r"\d{3}(?!\d)", rest):
         return None
     return float(text.replace(",", "."))

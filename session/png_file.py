@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import struct
+import zlib
 from collections.abc import Iterator
 from pathlib import Path
 
 from bssrdf.errors import InputError
+from bssrdf.session.icc import is_linear_profile
 from bssrdf.session.raw_frame import RawFrame
 from bssrdf.session.records import Card
 
@@ -29,7 +31,7 @@ def read_png(path: Path) -> list[RawFrame]:
             'fitted: `bssrdf ingest --response`, or response = "debevec" in [camera]'
         )
     if _is_encoded(chunks):
-        raise InputError(f"{path}: is gamma encoded, as its header says; save it linear, without gAMA, sRGB and iCCP")
+        raise InputError(f"{path}: is gamma encoded, as its header says; save it linear, and without gAMA and sRGB")
     data = without_alpha(path, image.data) if image.data.shape[2] in (2, 4) else image.data
     data = data[:, :, 0] if data.shape[2] == 1 else data
     significant = chunks.get(b"sBIT", b"\x10")[0]
@@ -40,9 +42,20 @@ def read_png(path: Path) -> list[RawFrame]:
 def _is_encoded(chunks: dict[bytes, bytes]) -> bool:
     if b"cICP" in chunks:
         return len(chunks[b"cICP"]) < 2 or chunks[b"cICP"][1] != _LINEAR_TRANSFER
-    if b"sRGB" in chunks or b"iCCP" in chunks:
+    if b"iCCP" in chunks:
+        profile = _profile(chunks[b"iCCP"])
+        return profile is None or not is_linear_profile(profile)
+    if b"sRGB" in chunks:
         return True
     return b"gAMA" in chunks and abs(int.from_bytes(chunks[b"gAMA"], "big") - _LINEAR_GAMMA) > _LINEAR_GAMMA // 100
+
+
+def _profile(chunk: bytes) -> bytes | None:
+    """The colour profile behind its name and a byte for its code."""
+    try:
+        return zlib.decompress(chunk.partition(b"\0")[2][1:])
+    except zlib.error:
+        return None
 
 
 def _chunks(content: bytes) -> Iterator[tuple[bytes, bytes]]:

@@ -15,19 +15,19 @@ from bssrdf.session.exif import label, positive, real
 from bssrdf.session.raw_frame import MACHINE_VISION_REL_SD, RawFrame
 from bssrdf.session.records import Card
 
-_PNM = re.compile(rb"(P5|P6|Pf|PF)(?:\s+|#[^\n]*\n)+(\d+)(?:\s+|#[^\n]*\n)+(\d+)(?:\s+|#[^\n]*\n)+([-+.\deE]+)\s")
+_PNM = re.compile(rb"(P2|P3|P5|P6|Pf|PF)(?:\s+|#[^\n]*\n)+(\d+)(?:\s+|#[^\n]*\n)+(\d+)(?:\s+|#[^\n]*\n)+([-+.\deE]+)\s")
 _BLOCK, _CARD = 2880, 80
 _FITS_TYPES = {8: ">u1", 16: ">i2", 32: ">i4", 64: ">i8", -32: ">f4", -64: ">f8"}
 
 
 def read_pnm(path: Path) -> list[RawFrame]:
-    """PGM, PPM or PFM, values as stored: the largest one that the header states is the white level."""
+    """PGM or PPM, in bytes or digits, or PFM, values as stored: the largest that the header states is the white level."""
     content = _bytes_of(path)
     frames: list[RawFrame] = []
     while content.strip() or not frames:
         header = _PNM.match(content)
         if header is None:
-            raise _damaged(path, "PNM, its header is none of P5, P6, Pf, PF")
+            raise _damaged(path, "PNM, its header is none of P2, P3, P5, P6, Pf, PF")
         frame, size = _pnm_frame(path, header, content[header.end() :])
         frames.append(frame)
         content = content[header.end() + size :]
@@ -37,19 +37,28 @@ def read_pnm(path: Path) -> list[RawFrame]:
 def _pnm_frame(path: Path, header: re.Match[bytes], content: bytes) -> tuple[RawFrame, int]:
     """The picture behind a header, and its size in bytes."""
     kind, width, height, top = header.groups()
-    floats, channels = kind in (b"Pf", b"PF"), 3 if kind in (b"P6", b"PF") else 1
+    floats, channels = kind in (b"Pf", b"PF"), 3 if kind in (b"P3", b"P6", b"PF") else 1
     largest = real(top.decode()) or 0.0
     if not largest or (not floats and not 0 < largest < 65536):
         raise _damaged(path, f"PNM, its largest value {top.decode()} cannot be")
     order = "<" if floats and largest < 0 else ">"
-    data = _array(
-        path,
-        content,
-        order + ("f4" if floats else "u1" if largest < 256 else "u2"),
-        (int(height), int(width), channels),
-    )
+    dtype = order + ("f4" if floats else "u1" if largest < 256 else "u2")
+    shape = (int(height), int(width), channels)
+    if kind in (b"P2", b"P3"):
+        data, size = _digits(path, content, dtype, shape), len(content)
+    else:
+        data = _array(path, content, dtype, shape)
+        size = data.nbytes
     card = Card() if floats else Card(bits=int(largest).bit_length(), white=(largest,))
-    return _frame(np.flipud(data) if floats else data, card), data.nbytes
+    return _frame(np.flipud(data) if floats else data, card), size
+
+
+def _digits(path: Path, content: bytes, dtype: str, shape: tuple[int, ...]) -> NDArray[Any]:
+    """Numbers that are written out."""
+    try:
+        return np.array(content.split(), np.uint32).astype(dtype).reshape(shape)
+    except (ValueError, OverflowError) as error:
+        raise _damaged(path, f"PNM, its numbers are not {' x '.join(map(str, shape))}") from error
 
 
 def read_npy(path: Path) -> list[RawFrame]:

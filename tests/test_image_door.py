@@ -91,6 +91,12 @@ def radiance(path: Path, rgbe: NDArray[np.uint8], *lines: str, kind: str = "rgbe
     path.write_bytes(head.encode() + rgbe.tobytes())
 
 
+def icc(exponent: float) -> bytes:
+    """A colour profile of which only the red curve matters."""
+    curve = b"curv\0\0\0\0" + struct.pack(">IH", 1, round(256 * exponent))
+    return bytes(128) + struct.pack(">I4sII", 1, b"rTRC", 144, len(curve)) + curve
+
+
 THUMBNAIL = DN[::4, ::4].copy()
 
 
@@ -105,6 +111,7 @@ def with_thumbnail(path: Path) -> None:
     [
         ("a.pgm", content(b"P5\n# a comment\n16 12\n4095\n" + DN.astype(">u2").tobytes()), DN),
         ("a.ppm", content(b"P6 16 12 4095\n" + RGB.astype(">u2").tobytes()), RGB),
+        ("a.pgm", content(b"P2 16 12 4095\n" + " ".join(map(str, DN.ravel())).encode()), DN),
         ("a.pfm", content(b"PF\n16 12\n-1.0\n" + FLOATS[::-1].astype("<f4").tobytes()), FLOATS),
         ("a.npy", lambda path: np.save(path, DN), DN),
         ("a.npy", lambda path: np.save(path, np.asfortranarray(RGB.astype(">u2"))), RGB),
@@ -112,6 +119,7 @@ def with_thumbnail(path: Path) -> None:
         ("a.fits", content(fits(FLOATS[..., 0].astype(">f4"), "BSCALE  =                  2.0")), 2 * FLOATS[..., 0]),
         ("a.png", png, DN),
         ("a.png", lambda path: png(path, (b"gAMA", struct.pack(">I", 100_000)), data=RGB), RGB),
+        ("a.png", lambda path: png(path, (b"iCCP", b"x\0\0" + zlib.compress(icc(1.0)))), DN),
         ("a10.tif", packed(DN & 1023, 10), DN & 1023),
         ("a12.tif", packed(DN, 12), DN),
         ("a14.tif", packed(DN * 3, 14), DN * 3),
@@ -180,12 +188,6 @@ def test_without_the_extra_lzw_and_packed_bits_are_read_and_others_name_it(
         np.testing.assert_array_equal(read_frame_file(tmp_path / name).data, DN)
 
 
-def icc(exponent: float) -> bytes:
-    """A colour profile of which only the red curve matters."""
-    curve = b"curv\0\0\0\0" + struct.pack(">IH", 1, round(256 * exponent))
-    return bytes(128) + struct.pack(">I4sII", 1, b"rTRC", 144, len(curve)) + curve
-
-
 QUAD = (33421, "H", 2, (4, 4), True), (33422, "B", 16, bytes((0, 0, 1, 1) * 2 + (1, 1, 2, 2) * 2), True)
 COLOURS = np.zeros((3, 256), np.uint16)
 
@@ -205,7 +207,9 @@ COLOURS = np.zeros((3, 256), np.uint16)
         ("a.dng", tiff(DN, photometric=32803, extratags=[*DNG, *QUAD]), "quad Bayer"),
         ("a.png", lambda path: png(path, (b"sRGB", b"\0")), "gamma encoded"),
         ("a.png", lambda path: png(path, (b"gAMA", struct.pack(">I", 45_455))), "gamma encoded"),
+        ("a.png", lambda path: png(path, (b"iCCP", b"x\0\0" + zlib.compress(icc(2.2)))), "gamma encoded"),
         ("a.png", lambda path: png(path, data=DN.astype(np.uint8)), "8 bits"),
+        ("a.pgm", content(b"P2 16 12 4095\n1 2 3"), "its numbers are not 12 x 16 x 1"),
         ("a.npy", lambda path: np.save(path, DN > 5), "no array of numbers"),
         ("a.fits", content(fits(DN.astype(">i2"), unit="XTENSION= 'BINTABLE'")), "no picture"),
         ("a.exr", lambda path: exr(path, [("", ("X", "Y", "Z"), FLOATS)]), "'X', 'Y', 'Z'"),
