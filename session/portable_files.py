@@ -21,7 +21,7 @@ _FITS_TYPES = {8: ">u1", 16: ">i2", 32: ">i4", 64: ">i8", -32: ">f4", -64: ">f8"
 
 
 def read_pnm(path: Path) -> list[RawFrame]:
-    """PGM or PPM, in bytes or digits, or PFM, values as stored: the largest that the header states is the white level."""
+    """PGM or PPM, in bytes or digits, or PFM, values as stored: the largest that the header states is white."""
     content = _bytes_of(path)
     frames: list[RawFrame] = []
     while content.strip() or not frames:
