@@ -5,6 +5,7 @@ from __future__ import annotations
 import shlex
 from typing import Any
 
+from bssrdf.errors import InputError
 from bssrdf.rig.drivers import Bench, Driver
 from bssrdf.rig.folder_camera import FolderCamera
 from bssrdf.rig.gphoto2_camera import Gphoto2Camera
@@ -55,6 +56,20 @@ def _scpi_beam(bench: Bench, keys: dict[str, Any]) -> ScpiBeam:
     return ScpiBeam(_controller(bench, own), keys.get("level", 1.0))
 
 
+def _folder_camera(bench: Bench, keys: dict[str, Any]) -> FolderCamera:
+    own = dict(keys)
+    port = own.pop("release", None)
+    if port is None:
+        return FolderCamera(bench.clock, **own)
+    controllers: dict[str, ScpiController] = bench.shared.get("scpi", {})
+    if port not in controllers:
+        raise InputError(
+            f"{bench.shared['file']}: [camera] release = {port!r} is not the port of a controller; "
+            "give that of [shutter] or [beam] with the driver scpi"
+        )
+    return FolderCamera(bench.clock, press=controllers[port].press_release, **own)
+
+
 def _command_shutter(bench: Bench, keys: dict[str, Any]) -> CommandShutter:
     words = {"open": "to_open", "close": "to_close", "state": "to_tell"}
     return CommandShutter(**{words.get(name, name): value for name, value in keys.items()})
@@ -87,7 +102,7 @@ GPHOTO2 = Driver(
     lambda bench, keys: Gphoto2Camera(bench.clock, **keys),
 )
 FOLDER = Driver(
-    {"port": text, "exposures_s": list_of(SECONDS), "overhead_s": SECONDS},
-    lambda bench, keys: FolderCamera(bench.clock, **keys),
+    {"port": text, "exposures_s": list_of(SECONDS), "overhead_s": SECONDS, "release": text},
+    _folder_camera,
     required=("port",),
 )

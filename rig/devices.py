@@ -47,7 +47,7 @@ class Devices:
 def devices_of(rig: Rig, signals: Interrupts | None = None) -> Devices:
     """The drivers, not yet connected; `signals` as they are handled while a person is asked."""
     operator = SimulatedOperator(rig.world) if rig.world else ConsoleOperator(signals or Interrupts())
-    bench = Bench(BenchClock(rig.speed), operator)
+    bench = Bench(BenchClock(rig.speed), operator, {"file": rig.file})
     shutter = find("shutter", rig.shutter.driver)
     return Devices(
         shutter.make(bench, dict(rig.shutter.keys)),

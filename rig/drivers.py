@@ -30,7 +30,7 @@ class Bench:
     clock: Clock
     operator: Operator
     shared: dict[str, Any] = field(default_factory=dict)
-    """What parts of one bench have in common, such as the controller behind a port."""
+    """What parts of one bench have in common: its rig.toml under "file", the controller behind a port."""
 
 
 @dataclass(frozen=True)

@@ -17,6 +17,8 @@ from bssrdf.session.raw_file import RAW_SUFFIXES
 from bssrdf.session.raw_frame import RawFrame
 
 _TICK_S = 0.05
+_SHORTEST_PRESS_S = 0.1
+"""Cameras that time the exposure themselves overlook a shorter press; in bulb mode the press is the exposure."""
 _QUIET_S = 0.5
 """A file that has not grown or changed for this long is looked into."""
 _DOUBTFUL_S = 3.0
@@ -26,11 +28,21 @@ _RUN_PX = 32
 
 
 class FolderCamera:
-    """Takes the next file that appears in the folder. Whatever fills it sets the exposure; the engine checks it."""
+    """Takes the next file that appears in the folder. Whatever fills it sets the exposure; the engine checks it.
+
+    With `press`, which holds the camera's release down for so many seconds, the camera needs nobody else to start it.
+    """
 
     def __init__(
-        self, clock: Clock, port: str, *, exposures_s: tuple[float, ...] = (), overhead_s: float = 60.0
+        self,
+        clock: Clock,
+        port: str,
+        *,
+        exposures_s: tuple[float, ...] = (),
+        overhead_s: float = 60.0,
+        press: Callable[[float], None] | None = None,
     ) -> None:
+        self._press = press
         self.name = f"folder camera on {port}"
         self._folder, self._exposures_s = Path(port), exposures_s
         self._clock, self.overhead_s = clock, overhead_s
@@ -51,6 +63,8 @@ class FolderCamera:
         limit_s = exposure_s / self._clock.speed + self.overhead_s
         deadline = time.monotonic() + limit_s
         watched: dict[Path, _Watched] = {}
+        if self._press is not None:
+            self._press(max(exposure_s, _SHORTEST_PRESS_S))
         while time.monotonic() < deadline:
             keep_alive()
             new = [file for file in _frames(self._folder) if file not in there]

@@ -79,6 +79,10 @@ class ScpiController:
                 return error
             time.sleep(0.01)
 
+    def press_release(self, seconds: float) -> None:
+        """Hold down a camera's release; it is let go in any case when the watchdog closes the shutter."""
+        self.command(f"CAM:PULS {round(seconds * 1e6)}")
+
     def release(self) -> None:
         if self._line is not None:
             self._line.release()

@@ -108,6 +108,11 @@ class Chip:
         self.tell("eeprom 0")
         return bytes.fromhex(self._until("eeprom")[0])
 
+    def deepest_stack(self) -> int:
+        """Bytes that the stack ever took."""
+        self.tell("stack")
+        return int(self._until("stack")[0])
+
     def reset(self, cause: int = 1) -> None:
         """Reset with what MCUSR says of its cause: power 1, reset pin 2, brown-out 4."""
         self.tell(f"reset {cause}")
@@ -124,7 +129,7 @@ class Chip:
             if word == "out":
                 self.said += bytes.fromhex(rest[0])
                 self.heard = int(rest[1])
-            elif word not in ("at", "eeprom"):
+            elif word not in ("at", "eeprom", "stack"):
                 self.edges.setdefault(word, []).append((int(rest[1]), int(rest[0])))
             if word == "at":
                 self.cycle = int(rest[0])

@@ -8,8 +8,10 @@ import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from threading import Thread
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 from near_world import NearWorld
 from simulated_chip import Chip
@@ -232,6 +234,27 @@ def test_rig_test_says_when_there_is_no_light_or_nothing_to_read_back(
     assert "driver sc10 reads no pulse back" in capsys.readouterr().err
 
 
+def test_a_camera_without_usb_is_started_by_the_controller(
+    live: tuple[str, subprocess.Popen[str]], tmp_path: Path
+) -> None:
+    port, process = live
+    rig = rig_file(tmp_path, "scpi", port)
+    rig.write_text(rig.read_text().replace("[geometry]", f'release = "{port}"\n[geometry]'))
+    devices = devices_of(read_rig(rig))
+    devices.connect()
+    delivered = Thread(target=lambda: (time.sleep(0.2), np.save(tmp_path / "one.npy", np.full((4, 6), 9, np.uint16))))
+    delivered.start()
+    frame = devices.camera.take(0.25, tmp_path / "taken", lambda: None)
+    assert frame.suffix == ".npy"
+    devices.release()
+    delivered.join()
+    process.kill()
+    assert process.stdout is not None
+    edges = [line.split() for line in process.stdout if line.startswith("camera")]
+    assert [level for _, level, _ in edges[-2:]] == ["1", "0"]
+    assert (int(edges[-1][2]) - int(edges[-2][2])) / 16e6 == pytest.approx(0.25, abs=3e-4)
+
+
 def test_rig_list_names_the_board_and_sends_nothing(
     live: tuple[str, subprocess.Popen[str]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -250,11 +273,11 @@ SPEED = 4.0
 """Seconds of the bench in one of ours: slow enough for the simulated chip on a busy machine."""
 
 
-@pytest.fixture
-def chip_bench(firmware: Path, tmp_path: Path) -> Iterator[SimulatedBench]:
+@pytest.fixture(scope="module")
+def chip_bench(firmware: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[SimulatedBench]:
     words = [sys.executable, Path(__file__).with_name("chip_on_bench.py"), firmware]
-    (tmp_path / "chip").mkdir()
-    bench = SimulatedBench(tmp_path / "chip", small_scene(), shutter="scpi", speed=SPEED, controller=words)
+    folder = tmp_path_factory.mktemp("chip")
+    bench = SimulatedBench(folder, small_scene(), shutter="scpi", speed=SPEED, controller=words)
     yield bench
     bench.stop()
 

@@ -5,7 +5,8 @@
    chip ELF               time stands still until asked: `run CYCLES`
    chip ELF LINK SPEED    time runs at SPEED times the clock's, and the UART is a pty that LINK points at
 
-   Lines in: send HEX, run CYCLES, interlock 0|1, light 0|1, blade LAG BOUNCE, eeprom OFFSET [HEX], reset MCUSR, hang.
+   Lines in: send HEX, run CYCLES, interlock 0|1, light 0|1, blade LAG BOUNCE, eeprom OFFSET [HEX], reset MCUSR, hang,
+   stack (how deep it ever was).
    Lines out: what a pin did, or the chip said, each with its cycle; `at CYCLE` when a run has ended.
 
    simavr 1.6 treats output compare in the normal mode like PWM (it sets the pin on overflow), so the latches of OC1A and
@@ -31,7 +32,7 @@
 #include <sim_io.h>
 #include <sim_time.h>
 
-enum { PORTB = 0x25, DDRB = 0x24, PORTD = 0x2b, MCUSR = 0x54, TCCR1A = 0x80, TCCR1C = 0x82, TCCR2A = 0xb0, OCR2B = 0xb4 };
+enum { PORTB = 0x25, DDRB = 0x24, PORTD = 0x2b, MCUSR = 0x54, SPL = 0x5d, SPH = 0x5e, TCCR1A = 0x80, TCCR1C = 0x82, TCCR2A = 0xb0, OCR2B = 0xb4 };
 enum { COMPA_VECTOR = 11, COMPB_VECTOR = 12 };
 #define CLOCK_HZ 16000000
 #define BYTE_CYCLES 3080 /* eleven bits of 35 * 8 cycles: simavr counts a parity bit that is not sent, and drops faster bytes */
@@ -90,6 +91,8 @@ static void move_blade(bool open) {
         avr_cycle_timer_register(avr, lags[open] * blade_lag + bounces[open][i] * blade_bounce + 1, edges[i],
                                  (open == (i % 2 == 0)) ? avr : NULL);
 }
+
+static int deepest_sp;
 
 static int level_of(int channel) {
     int mode = avr->data[TCCR1A] >> (6 - 2 * channel) & 3;
@@ -204,6 +207,9 @@ static void step(void) {
     if (avr->pc == 0 && !began)
         was_reset();
     look();
+    int sp = avr->data[SPL] | avr->data[SPH] << 8;
+    if (sp < deepest_sp)
+        deepest_sp = sp;
 }
 
 /* Put an endless loop without interrupts where the program is. */
@@ -274,6 +280,8 @@ static void obey(const char *line) {
         reset(a);
     } else if (!strncmp(line, "hang", 4)) {
         hang();
+    } else if (!strncmp(line, "stack", 5)) {
+        printf("stack %d\n", avr->ramend - deepest_sp);
     } else {
         printf("what? %s", line);
     }
@@ -307,6 +315,7 @@ static void power_on(const char *elf) {
     avr_irq_register_notify(avr_get_interrupt_irq(avr, COMPB_VECTOR), matched, avr);
     avr_register_io_write(avr, TCCR1C, strobed, NULL);
     plug_in();
+    deepest_sp = avr->ramend;
 }
 
 static double now_s(void) {
