@@ -68,10 +68,10 @@ class Chip:
         self.tell(f"run {round(ms * CYCLES_PER_MS)}")
         self._until("at")
 
-    def write(self, data: bytes) -> None:
-        """Bytes to the serial port, one behind another from now on."""
+    def write(self, data: bytes, delay: int = 0) -> None:
+        """Bytes to the serial port, one behind another, so many cycles from now on."""
         if data:
-            self.tell(f"send {data.hex()}")
+            self.tell(f"send {data.hex()} {delay}")
 
     def send(self, command: str, ms: float = 100.0) -> None:
         """A command, and time for it: one that is kept in EEPROM takes tens of milliseconds."""

@@ -39,6 +39,21 @@ def test_a_minute_goes_by_under_a_watchdog_of_five_seconds_while_the_host_talks(
     assert chip.errors() == []
 
 
+def test_a_match_from_before_is_not_taken_for_the_opening(chip: Chip) -> None:
+    """The compare unit matches once a turn of its timer, every 32.768 ms, also at rest; here, as an opening begins."""
+    turn = 8 * 65_536
+    sent = chip.cycle
+    chip.send("SHUT:PULS 100", 40)
+    lag = chip.edges["shutter"][-2][0] - sent
+    for early in range(0, 40 * 16, 16):
+        delay = chip.edges["shutter"][-1][0] + 3 * turn - lag + early - chip.cycle
+        chip.write(b"SHUT:PULS 100\n", delay)
+        chip.run_ms(delay / CYCLES_PER_MS + 40)
+    assert len(chip.pulses_us("shutter")) == 41
+    assert chip.pulses_us("shutter") == pytest.approx([100] * 41, abs=1)
+    assert chip.ask("SHUT:PULS:MEAS?") == "100,commanded"
+
+
 @pytest.mark.parametrize("ms", [10, 250, 5000, 7777])
 def test_the_watchdog_closes_in_mid_pulse_and_darkens_and_says_so(chip: Chip, ms: int) -> None:
     for command in ("BEAM:STAT ON", f"SYST:WATC {ms}"):

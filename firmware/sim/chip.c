@@ -5,7 +5,7 @@
    chip ELF               time stands still until asked: `run CYCLES`
    chip ELF LINK SPEED    time runs at SPEED times the clock's, and the UART is a pty that LINK points at
 
-   Lines in: send HEX, run CYCLES, interlock 0|1, light 0|1, blade LAG BOUNCE, eeprom OFFSET [HEX], reset MCUSR, hang,
+   Lines in: send HEX [DELAY], run CYCLES, interlock 0|1, light 0|1, blade LAG BOUNCE, eeprom OFFSET [HEX], reset MCUSR, hang,
    stack (how deep it ever was).
    Lines out: what a pin did, or the chip said, each with its cycle; `at CYCLE` when a run has ended.
 
@@ -168,10 +168,10 @@ static avr_cycle_count_t pump(avr_t *chip, avr_cycle_count_t when, void *unused)
     return when + BYTE_CYCLES;
 }
 
-static void come_in(uint8_t byte) {
+static void come_in(uint8_t byte, uint64_t delay) {
     incoming[in_head++ % MANY] = byte;
     if (!pumping)
-        avr_cycle_timer_register(avr, 1, pump, NULL);
+        avr_cycle_timer_register(avr, 1 + delay, pump, NULL);
     pumping = true;
 }
 
@@ -255,11 +255,11 @@ static void obey(const char *line) {
     static char hex[2 * MANY];
     unsigned long long a = 0, b = 0;
     *hex = '\0';
-    if (sscanf(line, "send %131071s", hex) == 1) {
+    if (sscanf(line, "send %131071s %llu", hex, &a) >= 1) {
         static uint8_t bytes[MANY];
         int n = bytes_of(hex, bytes);
         for (int i = 0; i < n; i++)
-            come_in(bytes[i]);
+            come_in(bytes[i], a);
     } else if (sscanf(line, "run %llu", &a) == 1) {
         for (uint64_t end = avr->cycle + a; avr->cycle < end;)
             step();
@@ -352,7 +352,7 @@ static void listen(bool hung_up, bool readable) {
     was_hung_up = hung_up;
     ssize_t n = readable && !hung_up ? read(pty, bytes, sizeof bytes) : 0;
     for (ssize_t i = 0; i < n; i++)
-        come_in(bytes[i]);
+        come_in(bytes[i], 0);
 }
 
 static void live(double speed) {
