@@ -1,6 +1,6 @@
 /* The controller's chip under simavr, as a process of its own, for the tests.
 
-   SPDX-License-Identifier: GPL-3.0-or-later (it links with simavr, which is; the firmware itself is MIT)
+   This file is under the licence of the project; the program made of it links with simavr, and is under the GPL.
 
    chip ELF               time stands still until asked: `run CYCLES`
    chip ELF LINK SPEED    time runs at SPEED times the clock's, and the UART is a pty that LINK points at
