@@ -45,9 +45,16 @@ def _home(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPa
     monkeypatch.setenv("HOME", str(tmp_path_factory.getbasetemp()))
 
 
-@pytest.fixture(scope="module", params=["sc10", "scpi"])
+@pytest.fixture(scope="module", params=["sc10", "scpi", pytest.param("chip", marks=pytest.mark.slow)])
 def bench(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[SimulatedBench]:
-    started = SimulatedBench(tmp_path_factory.mktemp(request.param), small_scene(), shutter=request.param)
+    """With "chip" the firmware itself is the controller; it plays no faults of the line."""
+    folder = tmp_path_factory.mktemp(request.param)
+    if request.param == "chip":
+        firmware = request.getfixturevalue("firmware")
+        words = [sys.executable, Path(__file__).with_name("chip_on_bench.py"), firmware]
+        started = SimulatedBench(folder, small_scene(), shutter="scpi", speed=4.0, controller=words)
+    else:
+        started = SimulatedBench(folder, small_scene(), shutter=request.param)
     yield started
     started.stop()
 
