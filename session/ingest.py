@@ -16,6 +16,7 @@ from bssrdf.session.file_names import exposure_from_path
 from bssrdf.session.frame_files import ENCODED_SUFFIXES, is_frame_name, read_frames_of
 from bssrdf.session.frames_csv import write_frames
 from bssrdf.session.kinds import Rule, kind_of, rule_of
+from bssrdf.session.png_file import is_deep
 from bssrdf.session.raw_frame import RawFrame
 from bssrdf.session.records import Frame, FrameKind
 from bssrdf.session.session_toml import camera_of_keys, write_started
@@ -91,13 +92,19 @@ def _image_files(folder: Path, out: Path, response: bool) -> list[PurePosixPath]
     if folder.resolve().is_relative_to(out.resolve()):
         raise UsageError(f"--out {out} would replace {folder}, which is to be read; choose another")
     files = sorted(_visible_files(folder))
-    found = [path for path in files if is_frame_name(path, encoded=response)]
+    found = [path for path in files if _is_frame(path, response)]
     found = [path for path in found if not path.resolve().is_relative_to(out.resolve())]
     if not found:
         encoded = any(path.suffix.lower() in ENCODED_SUFFIXES for path in files)
         remedy = "ask for JPEG or PNG by --response" if encoded else "give the folder that holds the frames"
         raise InputError(f"{folder}: holds no RAW, TIFF, PNG, PNM, FITS, NPY or EXR file; {remedy}")
     return [PurePosixPath(path.relative_to(folder).as_posix()) for path in found]
+
+
+def _is_frame(path: Path, response: bool) -> bool:
+    """By its name; a PNG of 8 bits is a preview, unless such frames are asked for."""
+    is_preview = path.suffix.lower() == ".png" and not response and not is_deep(path)
+    return is_frame_name(path, encoded=response) and not is_preview
 
 
 def _visible_files(folder: Path) -> Iterator[Path]:

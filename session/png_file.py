@@ -39,6 +39,12 @@ def read_png(path: Path) -> list[RawFrame]:
     return [RawFrame(data, Card(layout=layout, bits=significant, width_px=data.shape[1], height_px=data.shape[0]))]
 
 
+def is_deep(path: Path) -> bool:
+    """Whether a PNG has 16 bits; previews and plots have 8."""
+    with path.open("rb") as file:
+        return file.read(25)[24:] == b"\x10"
+
+
 def _is_encoded(chunks: dict[bytes, bytes]) -> bool:
     if b"cICP" in chunks:
         return len(chunks[b"cICP"]) < 2 or chunks[b"cICP"][1] != _LINEAR_TRANSFER

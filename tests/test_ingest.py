@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 import tifffile
@@ -122,6 +123,19 @@ def test_hidden_files_and_sidecars_are_no_frames(folder: Path, tmp_path: Path) -
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
         (folder / name).write_bytes(b"sidecar")
     assert len(ingest_folder(folder, tmp_path / "s", kinds=RULES)) == 6
+
+
+def test_png_of_16_bits_is_a_frame_and_one_of_8_a_preview(folder: Path, tmp_path: Path) -> None:
+    cv2.imwrite(str(folder / "wax/a_0.5s.png"), np.full((4, 6), 900, np.uint16))
+    cv2.imwrite(str(folder / "wax/preview.png"), np.full((4, 6), 90, np.uint8))
+    frames = [frame.file for frame in ingest_folder(folder, tmp_path / "s", kinds=RULES)]
+    assert "frames/wax/a_0.5s.png" in frames
+    assert len(frames) == 7
+    for file in folder.rglob("*"):
+        if file.is_file() and file.name != "preview.png":
+            file.unlink()
+    with pytest.raises(InputError, match="ask for JPEG or PNG by --response"):
+        ingest_folder(folder, tmp_path / "t", kinds=RULES)
 
 
 @pytest.mark.parametrize("name", [b"caf\xe9_1s.tif", b"a\nb_1s.tif"])
