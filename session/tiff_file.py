@@ -202,8 +202,8 @@ def _decoded(path: Path, page: Any) -> NDArray[Any]:
         return np.fromfile(path, stored, page.size, offset=page.dataoffsets[0]).reshape(page.shape)
     try:
         return np.asarray(page.asarray())
-    except ValueError as error:
-        if "imagecodecs" not in str(error):
+    except (ValueError, NotImplementedError, ImportError) as error:
+        if not isinstance(error, ImportError) and "imagecodecs" not in str(error):
             raise
         name = getattr(page.compression, "name", str(page.compression))
         spare = 16 - page.bitspersample
