@@ -136,11 +136,16 @@ def _dots(image: Image8, target: Target) -> Points:
 def _offset_dots(image: Image8, target: Target) -> Points:
     """Dots of which each second row is offset by half a pitch, dark on light.
 
-    OpenCV orders only those with an odd number of rows rightly; the others are not taken.
+    OpenCV orders them wrongly for an even number of rows, unless the picture is turned.
     """
     column, row = _grid(target.columns, target.rows).T
     places = np.stack([column + row % 2 / 2, row / 2], axis=1)
-    return _grid_of_dots(image, target, cv2.CALIB_CB_ASYMMETRIC_GRID, places)
+    points = _grid_of_dots(image, target, cv2.CALIB_CB_ASYMMETRIC_GRID, places)
+    if len(points[0]):
+        return points
+    turned = np.ascontiguousarray(np.rot90(image))
+    px, mm = _grid_of_dots(turned, target, cv2.CALIB_CB_ASYMMETRIC_GRID, places)
+    return np.stack([image.shape[1] - 1 - px[:, 1], px[:, 0]], axis=1), mm
 
 
 def _grid_of_dots(image: Image8, target: Target, flags: int, places: Array) -> Points:

@@ -290,8 +290,10 @@ class _Run:
     def _line(self, step: Step, file: Path, seen: Seen | None) -> Frame:
         """The frame's line of frames.csv, with what its file says of itself."""
         name = f"frames/{step.name}{file.suffix}"
-        exposure_s = seen.exposure_s if seen is not None else step.exposure_s
-        return Frame(name, step.kind, exposure_s, sha256=sha256_of(file), card=card_of_file(file))
+        exposure_s, rel_sd = (seen.exposure_s, seen.exposure_rel_sd) if seen is not None else (step.exposure_s, None)
+        return Frame(
+            name, step.kind, exposure_s, sha256=sha256_of(file), exposure_rel_sd=rel_sd, card=card_of_file(file)
+        )
 
     def _set_otherwise(self, frame: Frame) -> str:
         """How the file's own words differ from the camera's settings, or from the frames before; else nothing."""

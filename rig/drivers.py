@@ -67,8 +67,10 @@ def find(part: PartName, name: str) -> Driver:
 
 
 def _points(part: PartName) -> dict[str, EntryPoint]:
+    """By name; where two packages use one name, the project's own is meant."""
     group = f"bssrdf.{part}"
-    return {point.name: point for point in entry_points(group=group)} | _in_source_tree(group)
+    installed = sorted(entry_points(group=group), key=lambda point: point.value.startswith("bssrdf."))
+    return {point.name: point for point in installed} | _in_source_tree(group)
 
 
 def _in_source_tree(group: str) -> dict[str, EntryPoint]:

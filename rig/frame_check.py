@@ -50,6 +50,8 @@ class Seen(NamedTuple):
     """Brightest pixel over the white level; 0 where that is not known."""
     step: float = 1.0
     """Between neighbouring values [DN]; 0 where there is none."""
+    exposure_rel_sd: float | None = None
+    """As the file says; None: not stated."""
 
     @property
     def spot(self) -> float:
@@ -81,6 +83,7 @@ def look(file: Path, white: float | None = None) -> tuple[RawFrame, Seen]:
         noise=noise,
         peak=float(cells.max() / levels.min()),
         step=step,
+        exposure_rel_sd=frame.exposure_rel_sd,
     )
     return frame, seen
 

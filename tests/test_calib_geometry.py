@@ -143,6 +143,7 @@ PLATES = {
     "dots": (dots(11, 9), Target(11, 9, 10.0, "dots")),
     "white dots on black": (dots(11, 9, light=True), Target(11, 9, 10.0, "dots")),
     "offset dots": (dots(7, 15, offset=True), Target(7, 15, 10.0, "dots")),
+    "offset dots, even": (dots(7, 16, offset=True), Target(7, 16, 10.0, "dots")),
     "white offset dots, exchanged": (dots(7, 15, light=True, offset=True), Target(15, 7, 10.0, "dots")),
 }
 
