@@ -17,6 +17,7 @@ from bssrdf.errors import DeviceError
 _TICK_S = 0.1
 _KILL_S = 2.0
 _WORDS_SHOWN = 200
+_REMEDY = "run it by itself to see why"
 
 
 def ended_well(name: str, words: Sequence[str], limit_s: float, keep_alive: Callable[[], None] = lambda: None) -> str:
@@ -38,11 +39,11 @@ def ended_well(name: str, words: Sequence[str], limit_s: float, keep_alive: Call
         finally:
             _end(process)
         if code is None:
-            raise DeviceError(f"{what} was not done within {limit_s:.3g} s and was ended")
+            raise DeviceError(f"{what} was not done within {limit_s:.3g} s and was ended; give it a longer timeout_s")
         if code < 0:
-            raise DeviceError(f"{what} was killed by signal {_signal_name(-code)}")
+            raise DeviceError(f"{what} was killed by signal {_signal_name(-code)}; {_REMEDY}")
         if code:
-            raise DeviceError(f"{what} failed with exit code {code}{_last_line(complaint, out)}")
+            raise DeviceError(f"{what} failed with exit code {code}{_last_line(complaint, out)}; {_REMEDY}")
         return _text(out)
 
 
