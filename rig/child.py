@@ -13,6 +13,7 @@ from collections.abc import Callable, Sequence
 from typing import IO
 
 from bssrdf.errors import DeviceError
+from bssrdf.rig.interrupts import deferred
 
 _TICK_S = 0.1
 _KILL_S = 2.0
@@ -27,17 +28,19 @@ def ended_well(name: str, words: Sequence[str], limit_s: float, keep_alive: Call
     """
     what = f"{name}: {shlex.join(words)}"
     with tempfile.TemporaryFile() as out, tempfile.TemporaryFile() as complaint:
+        process = None
         try:
-            process = subprocess.Popen(
-                words, stdin=subprocess.DEVNULL, stdout=out, stderr=complaint, start_new_session=True
-            )
+            with deferred():
+                process = subprocess.Popen(
+                    words, stdin=subprocess.DEVNULL, stdout=out, stderr=complaint, start_new_session=True
+                )
+            code = _code(process, time.monotonic() + limit_s, keep_alive)
         except (OSError, ValueError) as error:
             reason = getattr(error, "strerror", None) or error
             raise DeviceError(f"{what} cannot be run ({reason}); check the command in rig.toml") from error
-        try:
-            code = _code(process, time.monotonic() + limit_s, keep_alive)
         finally:
-            _end(process)
+            if process is not None:
+                _end(process)
         if code is None:
             raise DeviceError(f"{what} was not done within {limit_s:.3g} s and was ended; give it a longer timeout_s")
         if code < 0:

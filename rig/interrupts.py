@@ -46,3 +46,26 @@ def interrupts() -> Iterator[Interrupts]:
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
+
+
+@contextmanager
+def deferred() -> Iterator[None]:
+    """Signals that come within the block are handled at its end, so that nothing is begun and then forgotten."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    came: list[tuple[int, FrameType | None]] = []
+    before = {
+        number: signal.signal(number, lambda *what: came.append(what)) for number in (signal.SIGINT, signal.SIGTERM)
+    }
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+        for missed, frame in came:
+            handler = before[signal.Signals(missed)]
+            if callable(handler):
+                handler(missed, frame)
+            elif handler == signal.SIG_DFL:
+                signal.raise_signal(missed)
