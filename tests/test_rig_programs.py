@@ -16,6 +16,7 @@ import tifffile
 
 from bssrdf.errors import DeviceError
 from bssrdf.rig.child import ended_well
+from bssrdf.rig.interrupts import deferred
 from bssrdf.rig.ports import BenchClock
 from bssrdf.rig.programs import CommandBeam, CommandCamera, CommandShutter, decimal
 from bssrdf.rig.sim.raw_files import dng_bytes
@@ -204,10 +205,14 @@ def test_an_interrupted_capture_ends_its_program(tmp_path: Path) -> None:
 
 def test_a_signal_waits_until_what_was_begun_is_known() -> None:
     done = []
-    with pytest.raises(KeyboardInterrupt), deferred():
-        os.kill(os.getpid(), signal.SIGINT)
-        done.append("begun")
-    assert done == ["begun"]
+
+    def interrupted() -> None:
+        with deferred():
+            os.kill(os.getpid(), signal.SIGINT)
+            done.append("begun")
+        done.append("gone on")
+
     with pytest.raises(KeyboardInterrupt):
-        os.kill(os.getpid(), signal.SIGINT)
-        time.sleep(1)
+        interrupted()
+    assert done == ["begun"]
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
