@@ -6,7 +6,7 @@
 #include "board.h"
 
 static volatile bool lit;
-static volatile uint8_t level = BEAM_FULL;
+static volatile uint16_t level = BEAM_FULL;
 
 void beam_init(void) { DDRD |= _BV(BEAM); }
 
@@ -24,7 +24,7 @@ static void drive(void) {
         steady(lit && level);
         return;
     }
-    OCR2B = level - 1; /* high for OCR2B + 1 of 256 counts */
+    OCR2B = level - 1; /* the pin is high for one count more */
     TCCR2A = _BV(COM2B1) | _BV(WGM21) | _BV(WGM20);
     TCCR2B = _BV(CS20);
 }
@@ -41,11 +41,11 @@ bool beam_switch(bool on) {
 
 bool beam_is_on(void) { return lit; }
 
-void beam_set_level(uint8_t new_level) {
+void beam_set_level(uint16_t new_level) {
     ATOMIC_BLOCK(ATOMIC_RESTORESTATE) {
         level = new_level;
         drive();
     }
 }
 
-uint8_t beam_level(void) { return level; }
+uint16_t beam_level(void) { return level; }

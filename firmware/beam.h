@@ -5,7 +5,7 @@
 #include <stdbool.h>
 #include <stdint.h>
 
-#define BEAM_FULL 255
+#define BEAM_FULL 256 /* levels are counts of the PWM in which the pin is high */
 
 void beam_init(void);
 
@@ -14,8 +14,8 @@ bool beam_switch(bool on);
 
 bool beam_is_on(void);
 
-void beam_set_level(uint8_t level);
+void beam_set_level(uint16_t level);
 
-uint8_t beam_level(void);
+uint16_t beam_level(void);
 
 #endif

@@ -32,21 +32,21 @@ static const struct {
     uint16_t settling_ticks; /* until the blade surely rests */
 } types[N_OUTPUTS] = {
     [TTL] = {100, 20 * TICKS_PER_MS},            /* drivers of fast shutters close in 3 to 15 ms */
-    [SOLENOID] = {20000, 50 * TICKS_PER_MS},     /* 12 ms lag and 5 ms bounce, measured on small ones, and room */
+    [SOLENOID] = {20000, 50 * TICKS_PER_MS},     /* 12 ms lag and 5 ms bounce, and room */
     [SERVO_ARM] = {200000, 250 * TICKS_PER_MS},  /* 60 degrees in 0.10 to 0.15 s, commanded every 20 ms */
 };
 
 static enum { CLOSED, OPENING, OPEN } volatile state;
 static volatile bool timed;
-static volatile uint32_t remaining;           /* counts from the coming match to the closing */
+static volatile uint32_t remaining;            /* counts from the coming match to the closing */
 static volatile uint32_t opened_at, closed_at; /* the output's edges */
-static volatile uint16_t settling;            /* ticks until the blade surely rests */
-static volatile uint16_t turns, last_turn;    /* upper half of the time, and its lower half when last looked at */
-static volatile uint16_t counted;             /* turns since the last opening */
-static volatile bool seen;                    /* light, now */
+static volatile uint16_t settling;             /* ticks until the blade surely rests */
+static volatile uint16_t turns, last_turn;     /* upper half of the time, and its lower half when last looked at */
+static volatile uint16_t counted;              /* turns since the last opening */
+static volatile bool seen;                     /* light, now */
 static volatile uint32_t seen_since, seen_for;
-static volatile uint8_t frame;                /* ticks since the servo's last pulse began */
-static volatile bool servo_late;              /* an edge was too close to a pulse: begin the next as soon as may be */
+static volatile uint8_t frame;   /* ticks since the servo's last pulse began */
+static volatile bool servo_late; /* an edge was too close to a pulse: begin the next as soon as may be */
 
 static void output_a(uint8_t mode) { TCCR1A = (TCCR1A & ~MODE_A) | mode; }
 static void output_b(uint8_t mode) { TCCR1A = (TCCR1A & ~MODE_B) | mode; }

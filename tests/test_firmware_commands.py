@@ -46,7 +46,7 @@ def test_it_says_who_it_is_when_it_starts_and_when_asked(new_chip: Chip) -> None
         ("SHUT:SERV 900,2100", "SHUT:SERV?", "900,2100"),
         ("BEAM:STAT ON", "BEAM:STAT?", "ON"),
         ("BEAM:STAT OFF", "BEAM:STAT?", "OFF"),
-        ("BEAM:LEV 0.5", "BEAM:LEV?", "0.502"),
+        ("BEAM:LEV 0.5", "BEAM:LEV?", "0.500"),
         ("BEAM:LEV 1e-05", "BEAM:LEV?", "0.000"),
         ("BEAM:LEV 1", "BEAM:LEV?", "1.000"),
         ("CAM:PULS 1000000", "CAM:STAT?", "1"),
@@ -185,7 +185,7 @@ def test_what_overflows_the_input_is_an_error_and_no_part_of_it_is_carried_out(c
         chip.run_ms(500)
         assert -363 in chip.codes()
         assert chip.ask("SYST:WATC?") in ("5000", "60000")
-        assert chip.ask("BEAM:LEV?") in ("1.000", "0.502")
+        assert chip.ask("BEAM:LEV?") in ("1.000", "0.500")
         chip.send("SHUT:STAT CLOS")
     assert all(us > 400e3 or us == 0 for us in chip.pulses_us("shutter"))
     assert chip.ask("*IDN?").startswith("bssrdf,rig,")

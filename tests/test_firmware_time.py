@@ -299,7 +299,7 @@ def test_the_camera_s_release_is_pressed_so_long(chip: Chip, us: int) -> None:
     assert chip.pulses_us("camera") == pytest.approx([us], abs=201)
 
 
-@pytest.mark.parametrize(("level", "duty"), [(0, 0), (0.001, 0), (0.25, 64), (0.5, 128), (0.998, 254), (1, 256)])
+@pytest.mark.parametrize(("level", "duty"), [(0, 0), (0.001, 0), (0.25, 64), (0.5, 128), (0.998, 255), (1, 256)])
 def test_the_beam_s_level_is_the_share_of_time_it_is_on(chip: Chip, level: float, duty: int) -> None:
     """The duty is out of 256, of a PWM at the chip's clock over 256: 62.5 kHz."""
     chip.send(f"BEAM:LEV {level}")

@@ -15,6 +15,8 @@ LINE = 48
 _DEPTH = 8
 _LONGEST_US = 60_000_000
 _WATCHDOG_MS = 5000
+_FULL = 256
+"""Counts of the beam's PWM."""
 
 _INVALID_CHARACTER = '-101,"Invalid character"'
 _DATA_TYPE = '-104,"Data type error"'
@@ -106,7 +108,7 @@ class Scpi:
             "SHUT:PULS:MEAS?": self._measured,
             "SHUT:PULS:MIN?": lambda: _SHORTEST_US[self._type],
             "BEAM:STAT?": lambda: "ON" if self._world.status()["beam"] else "OFF",
-            "BEAM:LEV?": lambda: f"{self._level / 255:.3f}",
+            "BEAM:LEV?": lambda: f"{(self._level * 1000 + _FULL // 2) // _FULL / 1000:.3f}",
             "CAM:STAT?": lambda: int(self._pressed),
             "SYST:INT?": lambda: int(self._world.status()["interlock"]),
             "SYST:WATC?": lambda: self._watchdog_ms,
@@ -211,7 +213,7 @@ class Scpi:
             raise _Refused(_DATA_TYPE) from None
         if not 0 <= share <= 1:
             raise _Refused(_OUT_OF_RANGE)
-        self._level = int(share * 255 + 0.5)
+        self._level = int(share * _FULL + 0.5)
 
     def _set_watchdog(self, value: str) -> None:
         self._watchdog_ms = _number(value, 0, 3_600_000)
@@ -239,7 +241,7 @@ class Scpi:
 
     def _reset(self) -> None:
         self._make_safe()
-        self._level = 255
+        self._level = _FULL
         self._watchdog_ms = _WATCHDOG_MS
         self._queue.clear()
 
