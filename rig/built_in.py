@@ -78,7 +78,7 @@ def _command_shutter(bench: Bench, keys: dict[str, Any]) -> CommandShutter:
 SC10 = Driver({**_PORT, "blade_s": SECONDS}, lambda bench, keys: Sc10Shutter(**keys), required=("port",))
 UNIBLITZ = Driver(_PORT, lambda bench, keys: UniblitzShutter(**keys), required=("port",))
 SCPI_SHUTTER = Driver(_SCPI, lambda bench, keys: ScpiShutter(_controller(bench, keys)), required=("port",))
-SCPI_BEAM = Driver({**_SCPI, "level": number()}, _scpi_beam, required=("port",))
+SCPI_BEAM = Driver({**_SCPI, "level": number(at_least=0, at_most=1)}, _scpi_beam, required=("port",))
 MANUAL_SHUTTER = Driver({}, lambda bench, keys: ManualShutter(bench.operator), by_hand=True, kept_alive=False)
 MANUAL_BEAM = Driver({}, lambda bench, keys: ManualBeam())
 COMMAND_SHUTTER = Driver(

@@ -19,7 +19,7 @@ from simulated_chip import Chip
 from bssrdf.bench.capture import PLAN, small_scene
 from bssrdf.cli import cli
 from bssrdf.console import run
-from bssrdf.errors import DeviceError
+from bssrdf.errors import DeviceError, InputError
 from bssrdf.rig import pulse_test
 from bssrdf.rig.capture import capture
 from bssrdf.rig.commands import rig_close, rig_status
@@ -232,6 +232,24 @@ def test_rig_test_says_when_there_is_no_light_or_nothing_to_read_back(
     assert "does not open" in (error := capsys.readouterr().err) or "saw no light" in error
     assert run(cli, ["rig", "test", "--rig", str(rig_file(tmp_path, "sc10", port))]) == 2
     assert "driver sc10 reads no pulse back" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("was", "becomes", "error"),
+    [
+        (
+            "[geometry]",
+            'release = "/dev/ttyUSB7"\n[geometry]',
+            r"rig.toml: \[camera\] release = '/dev/ttyUSB7' is not the port",
+        ),
+        ("[camera]", "level = 1.5\n[camera]", r"rig.toml: \[beam\] level.*must be a finite number"),
+    ],
+)
+def test_a_wrong_key_is_named_before_anything_moves(tmp_path: Path, was: str, becomes: str, error: str) -> None:
+    rig = rig_file(tmp_path, "scpi", "/dev/ttyACM0")
+    rig.write_text(rig.read_text().replace(was, becomes))
+    with pytest.raises(InputError, match=error):
+        devices_of(read_rig(rig))
 
 
 def test_a_camera_without_usb_is_started_by_the_controller(
