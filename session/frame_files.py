@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -33,21 +34,20 @@ def read_frame_file(path: Path, *, encoded: bool = False) -> RawFrame:
     With `encoded` an 8-bit file may be one of those whose values are not linear; else they are refused.
     """
     frames = read_frames_of(path, encoded=encoded)
-    if len(frames) > 1:
-        raise InputError(
-            f"{path}: holds {len(frames)} pictures; a stack is a bracket: have `bssrdf ingest` take it apart"
-        )
-    return frames[0]
+    frame = next(frames)
+    if next(frames, None) is not None:
+        raise InputError(f"{path}: holds several pictures; a stack is a bracket: have `bssrdf ingest` take it apart")
+    return frame
 
 
-def read_frames_of(path: Path, *, encoded: bool = False) -> list[RawFrame]:
-    """Every frame of a file: one, or those of a stack."""
-    return _read(path, encoded=encoded, pixels=True)
+def read_frames_of(path: Path, *, encoded: bool = False) -> Iterator[RawFrame]:
+    """Every frame of a file, one by one: one, or those of a stack."""
+    return iter(_read(path, encoded=encoded, pixels=True))
 
 
 def read_card(path: Path, *, encoded: bool = False) -> RawFrame:
     """What the file says of its frame, without its pixels where a header tells; InputError as when it is read."""
-    return _read(path, encoded=encoded, pixels=False)[0]
+    return next(iter(_read(path, encoded=encoded, pixels=False)))
 
 
 def read_linear_image(path: Path) -> NDArray[np.float32]:
@@ -58,7 +58,7 @@ def read_linear_image(path: Path) -> NDArray[np.float32]:
     return data
 
 
-def _read(path: Path, *, encoded: bool, pixels: bool) -> list[RawFrame]:
+def _read(path: Path, *, encoded: bool, pixels: bool) -> Iterable[RawFrame]:
     from bssrdf.session.portable_files import read_fits, read_npy, read_pnm
 
     suffix = path.suffix.lower()

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import chain
 from pathlib import Path, PurePosixPath
 from types import MappingProxyType
 from typing import Any
@@ -11,7 +12,7 @@ from typing import Any
 from bssrdf.errors import InputError, UsageError
 from bssrdf.session.atomic import make_folder, replace_folder, sha256_of
 from bssrdf.session.constancy import check_constant
-from bssrdf.session.exposure_source import exposure_source
+from bssrdf.session.exposure_source import Exposure, exposure_source
 from bssrdf.session.file_names import exposure_from_path
 from bssrdf.session.frame_files import ENCODED_SUFFIXES, is_frame_name, read_frames_of
 from bssrdf.session.frames_csv import write_frames
@@ -24,8 +25,6 @@ from bssrdf.session.session_toml import camera_of_keys, write_started
 _MERGED: dict[str, FrameKind] = {"sample": "sample_hdr", "reference": "reference_hdr"}
 _NO_FRAMES = ("__MACOSX", "@eaDir")
 """Folders in which an archive or a disk station keeps sidecars."""
-
-Exposure = Callable[[PurePosixPath, int], float | None]
 
 
 def ingest_folder(
@@ -130,17 +129,18 @@ def _take(
     """Copy a file into the session, a stack as one file for each picture; a line for each."""
     source, target = folder / relative, building / "frames" / relative
     images = read_frames_of(source, encoded=encoded)
+    first, second = next(images), next(images, None)
     target.parent.mkdir(parents=True, exist_ok=True)
-    if len(images) == 1:
+    if second is None:
         shutil.copy2(source, target)
-        return [_line(target, building, kind, images[0], _exposure(source, relative, 0, kind, images[0], told))]
+        return [_line(target, building, kind, first, _exposure(source, relative, kind, first, told))]
     frames = []
-    for page, image in enumerate(images):
+    for page, image in enumerate(chain((first, second), images)):
         seconds = told(relative, page) if told else image.exposure_s
         if seconds is None:
             raise InputError(
-                f"{source}: is a stack of {len(images)} pictures that does not tell the exposure of each; list them "
-                "by --exposure-from times.csv with the columns file,page,exposure_s"
+                f"{source}: is a stack of pictures that does not tell the exposure of each; list them by "
+                "--exposure-from times.csv with the columns file,page,exposure_s"
             )
         file = target.with_name(f"{target.stem}_page{page + 1}.tif")
         _write_page(file, image)
@@ -168,12 +168,10 @@ def _line(file: Path, building: Path, kind: FrameKind, image: RawFrame, exposure
     )
 
 
-def _exposure(
-    path: Path, relative: PurePosixPath, page: int, kind: FrameKind, image: RawFrame, told: Exposure | None
-) -> float:
+def _exposure(path: Path, relative: PurePosixPath, kind: FrameKind, image: RawFrame, told: Exposure | None) -> float:
     if kind in _MERGED.values():
         return 1.0
-    exposure_s = told(relative, page) if told else image.exposure_s or exposure_from_path(relative)
+    exposure_s = told(relative, 0) if told else image.exposure_s or exposure_from_path(relative)
     if exposure_s is None:
         merged = "; if it is merged already, give its kind as sample_hdr or reference_hdr"
         raise InputError(

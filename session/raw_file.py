@@ -34,7 +34,7 @@ def read_raw(path: Path, *, pixels: bool = True) -> RawFrame:
     tags = raw_tags(path)
     _check_pattern(path, tags)
     if _is_for_tiff(tags):
-        return read_tiff(path, pixels=pixels)[0]
+        return next(read_tiff(path, pixels=pixels))
     if pixels and path.suffix.lower() in _PLAIN_TIFF and tags:
         check_extent(path)
     try:

@@ -41,18 +41,15 @@ _CODED_AT_MOST = 2000
 """No lossless code of a frame is smaller than this share; deflate reaches 1032."""
 
 
-def read_tiff(path: Path, *, pixels: bool = True) -> list[RawFrame]:
-    """The pictures of the file, thumbnails left out, or with `pixels` false their cards over empty data."""
+def read_tiff(path: Path, *, pixels: bool = True) -> Iterator[RawFrame]:
+    """The pictures of the file one by one, thumbnails left out; with `pixels` false their cards over empty data."""
     with _opened(path) as tif:
-        pages = _pictures(path, tif)
-        exposures = plane_exposures_s(tif)
-        frames = []
+        pages, exposures = _pictures(path, tif), plane_exposures_s(tif)
         for page in pages:
             frame = _frame(path, page, pixels)
             if exposures.get(page.index):
                 frame = replace(frame, exposure_s=exposures[page.index], exposure_rel_sd=MACHINE_VISION_REL_SD)
-            frames.append(frame)
-        return frames
+            yield frame
 
 
 def raw_tags(path: Path) -> Tags:

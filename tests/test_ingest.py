@@ -108,7 +108,7 @@ def test_a_stack_that_does_not_tell_its_exposures_needs_a_table(tmp_path: Path) 
     (tmp_path / "in" / "sample").mkdir(parents=True)
     for kind in ("sample", "dark"):
         tifffile.imwrite(tmp_path / "in" / kind / "a_250ms.tif", STACK, metadata=None, photometric="minisblack")
-    with pytest.raises(InputError, match="stack of 3 pictures that does not tell the exposure of each"):
+    with pytest.raises(InputError, match="stack of pictures that does not tell the exposure of each"):
         ingest_folder(tmp_path / "in", tmp_path / "s")
     lines = [f"{kind}/a_250ms.tif,{page},{page} ms" for kind in ("sample", "dark") for page in (1, 2, 3)]
     (tmp_path / "times.csv").write_text("\n".join(["file,page,exposure_s", *lines]))
