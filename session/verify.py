@@ -14,6 +14,8 @@ from bssrdf.session.frames_csv import dark_for, read_frames
 from bssrdf.session.records import Frame
 from bssrdf.session.session_toml import UNNAMED, read_session
 
+_LIGHT = ("sample", "reference", "flat")
+
 
 class Verified(NamedTuple):
     """What was looked at, and one line for each fault."""
@@ -32,7 +34,7 @@ def verify_session(path: Path) -> Verified:
     frames = read_frames(path, must_exist=False)
     cards = with_cards(path, frames)
     faults = [f"{path / str(difference)}" for difference in differences(cards)]
-    return Verified(frames, [*_table_faults(path, frames), *_frame_faults(path, frames), *faults])
+    return Verified(frames, [*_table_faults(path, cards), *_frame_faults(path, frames), *faults])
 
 
 def _table_faults(path: Path, frames: Sequence[Frame]) -> Iterator[str]:
@@ -40,6 +42,9 @@ def _table_faults(path: Path, frames: Sequence[Frame]) -> Iterator[str]:
         session = read_session(path, complete=True)
         if session.material and session.material.name == UNNAMED:
             yield f'{path / "session.toml"}: [material] name is still "{UNNAMED}"; put in what was measured'
+        silent = [frame for frame in frames if frame.kind in _LIGHT and frame.card.width_px and not frame.card.layout]
+        if silent and session.camera.layout is None:
+            yield f'{path / silent[0].file}: does not tell its layout; set layout = "RGGB", "mono" or … in [camera]'
     except BssrdfError as error:
         yield f"{error} (without them only `measure --hdr-only` works)"
     for kind in ("sample", "reference"):
@@ -56,7 +61,7 @@ def _frame_faults(path: Path, frames: Sequence[Frame]) -> Iterator[str]:
             yield f"{file}: has changed since it was listed (its sha256 differs); restore it or take it again"
         elif not frame.card.width_px:
             yield from _unreadable(file)
-        if frame.kind in ("sample", "reference", "flat"):
+        if frame.kind in _LIGHT:
             try:
                 dark_for(frame, frames)
             except BssrdfError as error:

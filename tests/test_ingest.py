@@ -247,6 +247,9 @@ def test_verify_passes_a_session_that_is_complete(folder: Path, tmp_path: Path) 
     ingest_folder(folder, out, kinds=RULES, camera={"layout": "mono"})
     tables = '[material]\nname = "wax"\neta = 1.4\n[geometry]\nmm_per_px = 1.0\n[reference]\nname = "tile"\n'
     (out / "session.toml").write_text(f"[camera]\n{tables}reflectance = [0.99]\n")
+    (fault,) = verify_session(out).faults
+    assert "a_0.25s_1.tif: does not tell its layout" in fault or "b_0.25s.tif: does not tell its layout" in fault
+    (out / "session.toml").write_text(f'[camera]\nlayout = "mono"\n{tables}reflectance = [0.99]\n')
     assert verify_session(out).faults == []
     assert run(cli, ["verify", str(out)]) == 0
 
