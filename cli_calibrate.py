@@ -76,7 +76,8 @@ def geometry(
     _add(out, tables, force)
     click.echo(
         f"{found.n_points} points, residual {found.residual_mm:.3g} mm ({found.residual_px:.2g} px), view "
-        f"{found.geometry.view_angle_deg:.2f}°\n{out}: [geometry] and [distortion] written"
+        f"{found.geometry.view_angle_deg:.2f}°, for pictures of {found.size_px[0]} x {found.size_px[1]} px\n"
+        f"{out}: [geometry] and [distortion] written"
     )
 
 

@@ -13,6 +13,7 @@ from scipy.optimize import least_squares
 
 from bssrdf.calib.surface import Surface
 from bssrdf.calib.target import Target, find_target, grey
+from bssrdf.errors import InputError
 from bssrdf.session.frame_files import read_frame_file
 from bssrdf.session.records import Distortion, Geometry
 
@@ -33,6 +34,8 @@ class GeometryCalibration:
     """Root mean square over the points of the first image, in the surface."""
     residual_px: float
     n_points: int
+    size_px: tuple[int, int]
+    """Width and height of the pictures that the map is for."""
 
 
 def calibrate_geometry(paths: Sequence[Path], target: Target, layout: str | None = None) -> GeometryCalibration:
@@ -45,7 +48,11 @@ def calibrate_geometry(paths: Sequence[Path], target: Target, layout: str | None
     for path in paths:
         frame = read_frame_file(path, encoded=True)
         points.append(find_target(path, grey(frame.data, layout or frame.layout or "mono"), target))
-        size = (frame.data.shape[1], frame.data.shape[0])
+        before, size = size, (frame.data.shape[1], frame.data.shape[0])
+        if len(points) > 1 and size != before:
+            raise InputError(
+                f"{path}: has {_shown(size)} px, not {_shown(before)} as the first; take plates of one size"
+            )
     return fit_geometry(points, size)
 
 
@@ -74,7 +81,11 @@ def fit_geometry(points: Sequence[tuple[Array, Array]], size: tuple[int, int]) -
     spread_mm = float(np.sqrt(np.mean(np.sum((mm - mm.mean(axis=0)) ** 2, axis=1))))
     geometry = replace(geometry, mm_per_px_rel_sd=residual_mm / spread_mm / float(np.sqrt(len(mm))))
     residual_px = float(np.sqrt(np.mean(np.sum(residual(solved.x)[: 2 * len(px)].reshape(-1, 2) ** 2, axis=1))))
-    return GeometryCalibration(geometry, distortion, residual_mm, residual_px, len(px))
+    return GeometryCalibration(geometry, distortion, residual_mm, residual_px, len(px), size)
+
+
+def _shown(size: tuple[int, int]) -> str:
+    return f"{size[0]} x {size[1]}"
 
 
 def _camera_matrix(size: tuple[int, int]) -> Array:

@@ -169,6 +169,14 @@ def test_a_plate_may_be_a_picture_that_is_not_linear(tmp_path, suffix):
     assert abs(np.diff(x)) == pytest.approx(mm_per_px, rel=1e-3)
 
 
+def test_plates_of_two_sizes_are_refused(tmp_path):
+    image, _ = turned(board(9, 7), 10)
+    cv2.imwrite(str(tmp_path / "raw.png"), image)
+    cv2.imwrite(str(tmp_path / "small.jpg"), cv2.resize(image, None, fx=0.8, fy=0.8))
+    with pytest.raises(InputError, match=r"small\.jpg: has 640 x 448 px, not 800 x 560 as the first"):
+        calibrate_geometry([tmp_path / "raw.png", tmp_path / "small.jpg"], Target(9, 7, 15.0), "mono")
+
+
 def test_dots_of_a_large_frame_are_found():
     target = Target(11, 9, 10.0, "dots")
     plate = cv2.resize(dots(11, 9), None, fx=2.5, fy=2.5, interpolation=cv2.INTER_AREA)
