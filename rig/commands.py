@@ -12,7 +12,7 @@ from bssrdf.rig.capture import Captured, Report, capture
 from bssrdf.rig.devices import devices_of, ports_of
 from bssrdf.rig.drivers import PARTS, names
 from bssrdf.rig.find import described
-from bssrdf.rig.locks import lock_ports
+from bssrdf.rig.locks import check_ports, lock_ports
 from bssrdf.rig.plan_toml import Plan, read_plan
 from bssrdf.rig.pulse_test import pulse_test
 from bssrdf.rig.rig_toml import Rig, read_rig
@@ -138,12 +138,12 @@ def _bench(plan: Path, rig: Path | None, simulate: bool, truth: Path | None = No
 
 def _outlook(plan: Plan, rig: Rig, session: Path) -> str:
     devices = devices_of(rig)
-    with lock_ports(ports_of(rig)):
-        try:
-            devices.camera.connect()
-            offered = devices.camera.exposures_s()
-        finally:
-            devices.camera.release()
+    check_ports(ports_of(rig))
+    try:
+        devices.camera.connect()
+        offered = devices.camera.exposures_s()
+    finally:
+        devices.camera.release()
     folder = next(parent for parent in (session, *session.absolute().parents) if parent.exists())
     free_gb = shutil.disk_usage(folder).free / 1e9
     tail = [f"disk free: {free_gb:.1f} GB", f"if this program is killed: {_after_kill(devices.shutter.after_kill)}"]

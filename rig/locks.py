@@ -17,15 +17,32 @@ from bssrdf.errors import DeviceError, UsageError
 @contextmanager
 def lock_ports(ports: set[str]) -> Iterator[None]:
     """Hold every port, or DeviceError that names the one in use and by what process."""
-    folder = platformdirs.user_cache_path("bssrdf", ensure_exists=True)
+    platformdirs.user_cache_path("bssrdf", ensure_exists=True)
     with ExitStack() as held:
         for port in sorted(ports):
-            one = os.path.realpath(port) if Path(port).exists() else port  # a port has several names
-            name = hashlib.sha256(one.encode()).hexdigest()[:16]
-            holder = held.enter_context(_lock(folder / f"port-{name}.lock"))
-            if holder:
-                raise DeviceError(f"{port}: in use by process {holder}; let it end, or end it")
+            _refuse(port, held.enter_context(_lock(_file_of(port))))
         yield
+
+
+def check_ports(ports: set[str]) -> None:
+    """The same DeviceError where a port is in use; nothing is held and nothing written."""
+    for port in sorted(ports):
+        if (file := _file_of(port)).exists():
+            with file.open("rb") as handle:
+                try:
+                    fcntl.flock(handle, fcntl.LOCK_SH | fcntl.LOCK_NB)
+                except BlockingIOError:
+                    _refuse(port, handle.read(20).decode() or "unknown")
+
+
+def _file_of(port: str) -> Path:
+    name = hashlib.sha256(port.encode()).hexdigest()[:16]
+    return platformdirs.user_cache_path("bssrdf") / f"port-{name}.lock"
+
+
+def _refuse(port: str, holder: str) -> None:
+    if holder:
+        raise DeviceError(f"{port}: in use by process {holder}; let it end, or end it")
 
 
 @contextmanager

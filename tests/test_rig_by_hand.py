@@ -30,6 +30,7 @@ from bssrdf.errors import DeviceError
 from bssrdf.rig.capture import capture
 from bssrdf.rig.commands import dry_run, rig_close
 from bssrdf.rig.interrupts import Interrupts
+from bssrdf.rig.locks import lock_ports
 from bssrdf.rig.manual import ManualShutter
 from bssrdf.rig.operators import ConsoleOperator
 from bssrdf.rig.sim.launch import SimulatedBench
@@ -116,14 +117,22 @@ def test_a_script_that_brings_an_old_frame_again_is_found_out(mended: SimulatedB
         capture(plan, hand.rig_file, tmp_path / "s")
 
 
-def test_moves_by_hand_are_counted_before_the_first(mended: SimulatedBench, tmp_path: Path) -> None:
+def test_a_dry_run_counts_moves_by_hand_and_writes_nothing(
+    mended: SimulatedBench, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     hand, plan = by_hand(mended, tmp_path, simulated=False), tmp_path / "plan.toml"
     plan.write_text(PLAN, encoding="utf-8")
-    before = {file: file.read_bytes() for file in tmp_path.rglob("*") if file.is_file()}
+    before = {file: file.is_file() and file.read_bytes() for file in tmp_path.rglob("*")}
     assert "the card is moved 2 times by hand\n" in dry_run(plan, tmp_path / "s", rig=hand.rig_file)
-    assert {file: file.read_bytes() for file in tmp_path.rglob("*") if file.is_file()} == before
+    assert {file: file.is_file() and file.read_bytes() for file in tmp_path.rglob("*")} == before
     plan.write_text(PLAN.replace('order = "blocks"\n', ""), encoding="utf-8")
     assert "moved 4 times by hand; fewer with" in dry_run(plan, tmp_path / "s", rig=hand.rig_file)
+    with (
+        lock_ports({str(hand.rig_file.resolve())}),
+        pytest.raises(DeviceError, match=f"rig.toml: in use by process {os.getpid()}"),
+    ):
+        dry_run(plan, tmp_path / "s", rig=hand.rig_file)
 
 
 class AtTheKeyboard:
