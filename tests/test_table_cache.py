@@ -25,7 +25,7 @@ def made(folder):
     told = []
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(table_cache, "SEED", 5)
-        model = table_model(1.6, 0.2, directory=folder, core_seconds=3.0, announce=told.append)
+        model = table_model(1.6, -0.2, directory=folder, core_seconds=3.0, announce=told.append)
     [path] = folder.iterdir()
     return model, path, told
 
@@ -35,7 +35,7 @@ def test_a_table_made_on_demand_is_announced_and_right(made):
     assert told == [pytest.approx(table_cache.seconds_to_make(3.0))]
     with jax.enable_x64(True):
         medium = Medium(0.1, 0.9, 1.6)
-        exact = half_space(0.9 / 0.8 / (0.9 / 0.8 + 0.1), 0.2, 1.6, np.array([1.0])).total
+        exact = half_space(0.9 / 1.2 / (0.9 / 1.2 + 0.1), -0.2, 1.6, np.array([1.0])).total
         assert float(model.total(medium)) == pytest.approx(exact, rel=1e-3)
         edges = np.append(0, np.geomspace(1e-3, 50, 200))
         total = np.sum(np.asarray(model.bin_average(medium, edges[:-1], edges[1:])) * np.pi * np.diff(edges**2))
@@ -44,7 +44,7 @@ def test_a_table_made_on_demand_is_announced_and_right(made):
 
 def test_the_second_time_it_is_read(made, folder):
     told = []
-    again = table_model(1.6, 0.2, directory=folder, core_seconds=3.0, announce=told.append)
+    again = table_model(1.6, -0.2, directory=folder, core_seconds=3.0, announce=told.append)
     assert told == []
     assert np.array_equal(again.log_curve, made[0].log_curve)
 
@@ -89,9 +89,9 @@ def test_a_pickle_is_not_opened(tmp_path):
 
 
 def test_the_table_of_another_medium_is_refused(made, folder, tmp_path):
-    (tmp_path / "white-eta1.7-g0.2.npz").write_bytes(made[1].read_bytes())
+    (tmp_path / "white-eta1.7-g-0.2.npz").write_bytes(made[1].read_bytes())
     with pytest.raises(InputError, match="another medium"):
-        table_model(1.7, 0.2, directory=tmp_path)
+        table_model(1.7, -0.2, directory=tmp_path)
 
 
 def test_a_writer_that_is_killed_leaves_no_table(tmp_path):
@@ -128,8 +128,8 @@ def test_media_without_a_table_are_refused_by_value(eta, g, message, tmp_path):
 
 def test_a_table_is_placed_where_table_model_would_take_it_from(made, folder, tmp_path):
     assert place(1.37, 0.5).origin == "shipped"
-    assert place(1.6, 0.2, directory=folder) == ("cached", 1.6, 0.2, 0.0, False)
-    elsewhere = place(1.6, 0.2, directory=tmp_path)
+    assert place(1.6, -0.2, directory=folder) == ("cached", 1.6, -0.2, 0.0, False)
+    elsewhere = place(1.6, -0.2, directory=tmp_path)
     assert (elsewhere.origin, elsewhere.seconds) == ("made", table_cache.seconds_to_make())
     assert list(tmp_path.iterdir()) == []
 
@@ -141,7 +141,7 @@ def test_g_is_drawn_into_the_range_of_the_tables_and_says_so(g, taken, tmp_path)
 
 
 def test_a_policy_lets_through_what_it_names(made, folder, tmp_path):
-    places = [place(1.4, 0.5), place(1.6, 0.2, directory=folder), place(1.6, 0.2, directory=tmp_path)]
+    places = [place(1.4, 0.5), place(1.6, -0.2, directory=folder), place(1.6, -0.2, directory=tmp_path)]
     assert [[allowed(found, policy) for found in places] for policy in ("shipped", "cached", "make")] == [
         [True, False, False],
         [True, True, False],
@@ -151,12 +151,12 @@ def test_a_policy_lets_through_what_it_names(made, folder, tmp_path):
 
 def test_the_nearest_table_is_a_shipped_one_or_one_made_before(made, folder, tmp_path):
     assert nearest(1.4, 0.5, directory=tmp_path) == (1.4, 0.5, True)
-    assert nearest(1.62, 0.25, directory=folder) == (1.6, 0.2, True)
-    assert nearest(1.62, 0.25, directory=folder, policy="shipped")[:2] != (1.6, 0.2)
+    assert nearest(1.62, -0.25, directory=folder) == (1.6, -0.2, True)
+    assert nearest(1.62, -0.25, directory=folder, policy="shipped")[:2] != (1.6, -0.2)
 
 
 def test_beyond_a_fifth_in_eta_or_three_tenths_in_g_no_table_is_near(tmp_path):
-    last = max(tables.etas[-1] for tables in table_cache._shipped_sets())
+    last = max(load().etas[-1] for load in table_cache.SHIPPED)
     assert nearest(last + 0.19, 0.5, directory=tmp_path).near
     assert not nearest(last + 0.21, 0.5, directory=tmp_path).near
     assert nearest(1.4, shipped().gs[0] - 0.29, directory=tmp_path).near

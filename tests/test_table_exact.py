@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 from scipy.linalg import eigvalsh_tridiagonal
 
+from bssrdf.transport.dipole import Medium
 from bssrdf.transport.discrete_ordinates import N_MOMENTS, decay_constants, half_spaces
 from bssrdf.transport.incidence import NORMAL, Incidence, once_scattered
 from bssrdf.transport.single import first_order_rd, first_order_total
-from bssrdf.transport.table_cache import shipped, table_model
+from bssrdf.transport.table_cache import place, shipped, shipped_wide, table_model
 from bssrdf.transport.table_grid import N_W_CELLS, RHO_ZERO, W_MAX, albedo_of, by_cell, interpolating, q_nodes
 
 SCRIPT = """
@@ -91,3 +92,20 @@ def test_an_oblique_beam_ends_in_a_normal_one(across):
         half_spaces(np.array([0.5, 0.99]), 0.8, 1.4, np.array([1.0]), sin_incidence=sine).total for sine in (0, 1e-4)
     ]
     assert totals[1] == pytest.approx(totals[0], rel=1e-6)
+
+
+@pytest.mark.parametrize(("eta", "g"), [(1.33, 0.6), (1.45, 0.2), (1.5, 0.8)])
+def test_coarse_tables_agree_with_fine_ones_between_their_nodes(eta, g):
+    with jax.enable_x64(True):
+        radii = np.geomspace(0.1, 8, 20)
+        coarse, fine = (
+            np.array([tables.model(eta, g).rd(Medium(a, 1.0, eta), radii) for a in (0.01, 0.1, 1.0)])
+            for tables in (shipped_wide(), shipped())
+        )
+    assert np.sqrt(np.mean((coarse / fine - 1) ** 2)) < 0.01
+    assert coarse == pytest.approx(fine, rel=0.04)
+
+
+@pytest.mark.parametrize(("eta", "g"), [(1.0, 0.0), (1.7, 0.8), (2.5, 0.5), (3.0, 0.85)])
+def test_usual_media_out_to_an_index_of_3_need_no_waiting(eta, g):
+    assert place(eta, g).origin == "shipped"

@@ -60,6 +60,16 @@ def shipped() -> TableSet:
     return _packaged("white.npz")
 
 
+@functools.cache
+def shipped_wide() -> TableSet:
+    """The coarse ones that do, for indices from 1 to 3."""
+    return _packaged("wide.npz")
+
+
+SHIPPED = (shipped, shipped_wide)
+"""From fine to coarse; each is read when it is first needed."""
+
+
 def cache_directory() -> Path:
     """Folder of the tables made on this computer."""
     return platformdirs.user_cache_path("bssrdf") / "tables"
@@ -96,7 +106,9 @@ def allowed(found: Place, policy: Policy) -> bool:
 
 def nearest(eta: float, g: float, *, policy: Policy = "cached", directory: Path | None = None) -> Nearest:
     """The medium nearest to (eta, g), in steps of ETA_APART and G_APART, whose table ships or, by policy, was made."""
-    at_hand = [(float(np.clip(eta, *t.etas[[0, -1]])), float(np.clip(g, *t.gs[[0, -1]]))) for t in _shipped_sets()]
+    at_hand = [
+        (float(np.clip(eta, *t.etas[[0, -1]])), float(np.clip(g, *t.gs[[0, -1]]))) for t in (load() for load in SHIPPED)
+    ]
     if policy != "shipped":
         at_hand += _made(directory or cache_directory())
     apart, best = min((max(abs(e - eta) / ETA_APART, abs(h - g) / G_APART), (e, h)) for e, h in at_hand)
@@ -133,15 +145,11 @@ def _interpolated(eta: float, g: float) -> TableModel:
     return tables.model(eta, g)
 
 
-def _shipped_sets() -> tuple[TableSet, ...]:
-    return (shipped(),)
-
-
 def _shipped_set(eta: float, g: float, beam: Incidence = NORMAL) -> TableSet | None:
     """The finest shipped set that covers the medium; all are for normal incidence."""
     if beam.angle_deg != 0:
         return None
-    return next((tables for tables in _shipped_sets() if tables.covers(eta, g)), None)
+    return next((tables for load in SHIPPED if (tables := load()).covers(eta, g)), None)
 
 
 def _packaged(name: str) -> TableSet:
