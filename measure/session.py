@@ -71,9 +71,10 @@ def measure_session(
     if not hdr_only:
         sample, reference = (_image(kind, merged.images, told.layouts[kind], session) for kind in _KINDS)
         curve = measure_slice(session, sample, reference, told.timing, told.exposures, Options(radial, glare, band_mm))
+        unnamed = ["unnamed"] if session.material and session.material.name == UNNAMED else []
         curve = replace(
             curve,
-            flags=tuple(dict.fromkeys((*told.flags, *curve.flags))),
+            flags=tuple(dict.fromkeys((*told.flags, *unnamed, *curve.flags))),
             shared_errors=_of_reference(listed, merged.provenance["sha256"]),
             provenance=merged.provenance,
         )
@@ -96,7 +97,6 @@ def _merged(session: Session, listed: Sequence[Frame], hdr_rel_sd: float | None,
     frames, flags = _without_duplicates(listed, hashes)
     response = session_response(session, frames)
     flags += ["not_linear"] if response else []
-    flags += ["unnamed"] if session.material and session.material.name == UNNAMED else []
     every = (bracket_of(kind, session.path, frames, response) for kind in _KINDS)
     brackets: dict[str, Bracket] = {bracket.kind: bracket for bracket in every if bracket.frames}
     images, camera = read_elsewhere(session, frames, hdr_rel_sd)

@@ -231,6 +231,13 @@ def test_images_that_another_tool_merged_go_the_same_way(plain, tmp_path):
     assert np.median(rough.sd_per_mm2[3:20] / theirs.sd_per_mm2[3:20]) > 3
 
 
+def test_a_material_that_is_left_unnamed_is_flagged_until_it_is_named(plain):
+    session, measured = plain
+    unnamed = replace(session, material=replace(session.material, name="unnamed"))
+    assert measure_session(unnamed).slice.flags == ("unnamed", *measured.slice.flags)
+    assert measure_session(session, from_hdr=True).slice.flags == measured.slice.flags
+
+
 def test_a_flat_field_takes_vignetting_out(tmp_path):
     y, x = np.mgrid[: SHAPE[0], : SHAPE[1]]
     vignette = 1 - 0.3 * np.hypot((x - 60) / 60, (y - 45) / 45) ** 2 / 2
