@@ -319,6 +319,34 @@ def test_scpi_passes_on_a_refusal_that_stays() -> None:
     assert not wire.script
 
 
+def test_scpi_waits_while_the_blade_still_closes() -> None:
+    closing: Script = [
+        (b"SHUT:PULS 1000000\n", b""),
+        (b"SYST:ERR?\n", b'-221,"Settings conflict; closing"\n'),
+    ]
+    wire, _, shutter = scpi(closing * 4 + ok(b"SHUT:PULS 1000000") + OPENED)
+    shutter.open_for(1.0)
+    assert not wire.script
+
+
+def test_scpi_leaves_to_the_watchdog_what_is_longer_than_a_pulse() -> None:
+    wire, _, shutter = scpi(ok(b"SHUT:PULS 60000000") + OPENED + ok(b"SHUT:STAT OPEN") + OPENED)
+    shutter.open_for(60.0)
+    shutter.open_for(60.001)
+    assert not wire.script
+
+
+def test_scpi_reads_a_pulse_back_once_it_is_over() -> None:
+    script: Script = [
+        (b"SHUT:PULS:MEAS?\n", b"1200,running\n"),
+        (b"SHUT:PULS:MEAS?\n", b""),
+        (b"SHUT:PULS:MEAS?\n", b"16750,light\n"),
+    ]
+    wire, _, shutter = scpi(ok(b"SHUT:PULS 20000") + script)
+    assert shutter.measured_pulse(20_000) == (16_750, "light")
+    assert not wire.script
+
+
 def test_scpi_names_a_tripped_interlock_when_the_shutter_stays_closed() -> None:
     wire, _, shutter = scpi(ok(b"SHUT:PULS 1000000") + CLOSED + [(b"SYST:INT?\n", b"1\n")])
     with pytest.raises(DeviceError, match=r"does not open .the interlock is tripped"):
