@@ -59,7 +59,7 @@ def pulse_test(rig_file: Path, *, set_clock: bool = False) -> Iterator[str]:
             clock.wait()
         ppm, unsure_ppm = clock.rate()
         yield f"clock: {ppm:+d} ppm against this computer's, within {unsure_ppm} ppm"
-        if abs(ppm) > _MOST_PPM:
+        if abs(ppm) - unsure_ppm > _MOST_PPM:
             raise DeviceError(f"{shutter.name}: its clock is off by {ppm} ppm; the board is defective")
         if set_clock:
             shutter.keep_clock(ppm)

@@ -191,7 +191,7 @@ def test_rig_test_reads_the_light_s_own_time_back_and_keeps_the_clock_s_error(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(pulse_test, "PULSES_US", (4000, 20_000, 64_000))
-    monkeypatch.setattr(pulse_test, "_CLOCK_S", 1.0)
+    monkeypatch.setattr(pulse_test, "_CLOCK_S", 2.5)
     port, process = live
     rig = rig_file(tmp_path, "scpi", port)
     assert run(cli, ["rig", "test", "--rig", str(rig)]) == 0
