@@ -10,7 +10,7 @@ from statistics import mean
 from bssrdf.errors import DeviceError, UsageError
 from bssrdf.rig.capture import safe
 from bssrdf.rig.devices import devices_of, ports_of
-from bssrdf.rig.interrupts import interrupts
+from bssrdf.rig.interrupts import Interrupts, interrupts
 from bssrdf.rig.locks import lock_ports
 from bssrdf.rig.rig_toml import read_rig
 from bssrdf.rig.scpi import ScpiShutter
@@ -39,22 +39,7 @@ def pulse_test(rig_file: Path, *, set_clock: bool = False) -> Iterator[str]:
         devices.beam.on()
         yield f"{shutter.name}: {version}"
         clock = _Clock(shutter, rig.speed)
-        yield f"{'asked [ms]':>12} {'measured [ms]':>14} {'error [µs]':>11} {'spread [µs]':>12}  of"
-        sources = set()
-        for us in (us for us in PULSES_US if us >= shutter.shortest_us()):
-            pulses = []
-            for _ in range(REPEATS):
-                if signals.finish_frame:
-                    raise KeyboardInterrupt
-                measured, source = shutter.measured_pulse(us)
-                pulses.append(measured)
-                sources.add(source)
-            spread = max(pulses) - min(pulses)
-            yield f"{us / 1e3:12g} {mean(pulses) / 1e3:14.3f} {mean(pulses) - us:+11.0f} {spread:12.0f}  {source}"
-            if source == "light" and not any(pulses):
-                raise DeviceError(f"{shutter.name}: the photodiode saw no light; check blade, beam and threshold")
-        if "commanded" in sources:
-            yield "no photodiode is fitted: these are times of the output, not of the light (docs/controller.md)"
+        yield from _table(shutter, signals)
         if set_clock:
             clock.wait()
         ppm, unsure_ppm = clock.rate()
@@ -64,6 +49,25 @@ def pulse_test(rig_file: Path, *, set_clock: bool = False) -> Iterator[str]:
         if set_clock:
             shutter.keep_clock(ppm)
             yield f"kept in the controller: SYST:CLOC {ppm}"
+
+
+def _table(shutter: ScpiShutter, signals: Interrupts) -> Iterator[str]:
+    """A row for each length; the photodiode's word for it, or a remark that there is none."""
+    yield f"{'asked [ms]':>12} {'measured [ms]':>14} {'error [µs]':>11} {'spread [µs]':>12}  of"
+    source = ""
+    for us in (us for us in PULSES_US if us >= shutter.shortest_us()):
+        pulses = []
+        for _ in range(REPEATS):
+            if signals.finish_frame:
+                raise KeyboardInterrupt
+            measured, source = shutter.measured_pulse(us)
+            pulses.append(measured)
+        spread = max(pulses) - min(pulses)
+        yield f"{us / 1e3:12g} {mean(pulses) / 1e3:14.3f} {mean(pulses) - us:+11.0f} {spread:12.0f}  {source}"
+        if source == "light" and not any(pulses):
+            raise DeviceError(f"{shutter.name}: the photodiode saw no light; check blade, beam and threshold")
+    if source == "commanded":
+        yield "no photodiode is fitted: these are times of the output, not of the light (docs/controller.md)"
 
 
 class _Clock:
