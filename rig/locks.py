@@ -36,7 +36,8 @@ def check_ports(ports: set[str]) -> None:
 
 
 def _file_of(port: str) -> Path:
-    name = hashlib.sha256(port.encode()).hexdigest()[:16]
+    one = os.path.realpath(port) if Path(port).exists() else port  # a port has several names
+    name = hashlib.sha256(one.encode()).hexdigest()[:16]
     return platformdirs.user_cache_path("bssrdf") / f"port-{name}.lock"
 
 
