@@ -28,6 +28,7 @@ from bssrdf.rig.find import described
 from bssrdf.rig.locks import lock_ports
 from bssrdf.rig.rig_toml import read_rig
 from bssrdf.rig.scpi import ScpiBeam, ScpiController, ScpiShutter
+from bssrdf.rig.serial_line import SerialLine
 from bssrdf.rig.sim.launch import SimulatedBench
 from bssrdf.rig.sim.scpi_device import Scpi
 from bssrdf.session.atomic import sha256_of
@@ -276,6 +277,7 @@ def test_a_camera_without_usb_is_started_by_the_controller(
 def test_rig_list_names_the_board_and_sends_nothing(
     live: tuple[str, subprocess.Popen[str]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr(SerialLine, "send", lambda *_: pytest.fail("a byte was sent"))
     port, _ = live
     board, other = (SimpleNamespace(device=port, description="USB Serial", vid=vid) for vid in (0x1A86, 0x0001))
     (named,) = described([board])
