@@ -12,7 +12,8 @@ from bssrdf.calib.frame_model import Exposures
 from bssrdf.calib.spot import Spot
 from bssrdf.errors import InputError
 from bssrdf.measure.budget import exposure_shares, exposures_rel_sd, speckle_rel_sd
-from bssrdf.measure.image import Image, beam_on_sample, beam_on_tile, has_second_spot, locate
+from bssrdf.measure.image import Image, beam_on_sample, beam_on_tile, has_second_spot, locate, spot_radius_mm
+from bssrdf.measure.isophotes import Seen, View, look_at_isophotes
 from bssrdf.measure.pixels import channel_names
 from bssrdf.measure.profile import Profile
 from bssrdf.measure.reflectance import (
@@ -34,6 +35,9 @@ _DISAGREE_REL = 0.02
 _DISAGREE_PER_SINE = 0.6
 """Light runs outwards: across the view less is seen than on average, by up to this times the squared sine inside."""
 _LEAST_BINS = 10
+_CORE_LOW, _CORE_HIGH = 0.9, 1.4
+"""The spot on a tile looks as wide as the beam or somewhat wider: within these its own spread need not be fitted."""
+_SPOT_SD, _SPOT_REL = 3.0, 0.2
 _REFLECTANCE_REL_SD = 0.01
 """Of a tile whose certificate is not at hand: batches of sintered PTFE differ by about as much, and age more."""
 _SCALE_REL_SD = 0.005
@@ -83,12 +87,16 @@ def measure_slice(
     flags = _image_flags(session, sample, reference, spots)
     given_mm = session.beam.spot_radius_mm
     radius = Estimate(given_mm, 0.0) if given_mm else beam_on_tile(reference, spots[1], geometry.view_angle_deg)
+    core_mm = spot_radius_mm(reference, spots[1])
+    if given_mm and not _CORE_LOW * given_mm < core_mm < _CORE_HIGH * given_mm:
+        flags += _spot_flags(given_mm, beam_on_tile(reference, spots[1], geometry.view_angle_deg))
     band_mm = options.band_mm or usual_band_mm(sample, beam)
     channels: dict[str, ChannelSlice] = {}
     totals: dict[str, float] = {}
     totals_sd: dict[str, float] = {}
     lost: dict[str, float] = {}
     scale_rel_sd = [0.0]
+    seen: dict[float, tuple[str, tuple[Total, Total]]] = {}
     for channel in sample.channels:
         if reference.is_saturated(channel):
             continue
@@ -109,6 +117,8 @@ def measure_slice(
         if not sample.is_saturated(channel):
             totals[channel] = _plausible(back.light * per_light, channel, session)
             totals_sd[channel] = totals[channel] * float(np.hypot(back.sd / back.light, scale_rel_sd[-1]))
+        if channel in totals:
+            seen[totals[channel]] = (channel, (back, incident))
         differ = any(_disagree(side, back.profile, around) for side in profiles.values())
         raised = {
             "light_lost": max(back.lost_fraction, incident.lost_fraction) > _MUCH_LOST,
@@ -117,6 +127,13 @@ def measure_slice(
         flags += [flag for flag, is_raised in raised.items() if is_raised]
     tile_rel_sd, mm_rel_sd, view_angle_sd_deg, assumed = stated_errors(tile, geometry)
     flags += assumed
+    isophotes = Seen({}, ["geometry_unchecked"])
+    if seen:
+        wide = max(radius.value, core_mm)
+        brightest = max(seen)
+        view = View(session, around, wide, *seen[brightest], brightest, view_angle_sd_deg)
+        isophotes = look_at_isophotes(view, (sample, reference), (beam, spots[1]))
+    flags += isophotes.flags
     if not channels:
         raise InputError(f"{reference.name}: every channel is saturated at the spot; add shorter exposures")
     return Slice(
@@ -139,6 +156,7 @@ def measure_slice(
         scale_rel_sd=float(np.hypot(max(scale_rel_sd), tile_rel_sd)),
         mm_rel_sd=mm_rel_sd,
         flags=tuple(dict.fromkeys(flags)),
+        provenance={"isophotes": isophotes.told(geometry.view_angle_deg)} if isophotes.aspects else {},
     )
 
 
@@ -198,6 +216,11 @@ def _image_flags(session: Session, sample: Image, reference: Image, spots: tuple
         "saturated": any(image.is_saturated(c) for image in (sample, reference) for c in sample.channels),
         "speckle": session.beam.kind == "laser",
     }
+    return [flag for flag, is_raised in raised.items() if is_raised]
+
+
+def _spot_flags(given_mm: float, on_tile: Estimate) -> list[str]:
+    raised = {"spot_differs": abs(on_tile.value - given_mm) > max(_SPOT_SD * on_tile.sd, _SPOT_REL * given_mm)}
     return [flag for flag, is_raised in raised.items() if is_raised]
 
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 MEANING = {
+    "anisotropic": "The sample's isophotes are ellipses, the tile's are not: its fibres or layers guide the light.",
+    "aspect_off": "The isophotes are ellipses that the view angle does not explain: scale, beam or camera's roll?",
     "black_clipped": "The camera cuts off at black: noise below it is lost, and faint light comes out too bright.",
     "black_offset": "Black in the frames is not that of their darks: what was found was taken off.",
     "dark_temperature": "Darks were taken warmer or colder than their frames: take them at one temperature.",
@@ -11,6 +13,7 @@ MEANING = {
     "exposure_labels_off": "Exposure times found from the bracket differ from their labels: those found were used.",
     "exposure_ratios_disagree": "Frames contradict each other beyond noise: errors were enlarged by it.",
     "gain_unknown": "The camera's gain could not be found from the frames: errors of single pixels are rough.",
+    "geometry_unchecked": "The picture could not be held against view angle and axis: see docs/measuring.md.",
     "glare": "An even floor lies under the sample's light, as veiling glare makes it: --glare subtracts it.",
     "leak": "Pixels beside saturated ones come out too bright: what was found was taken off.",
     "light_lost": "Much light fell outside the frame: its share was estimated and is uncertain.",
@@ -23,7 +26,9 @@ MEANING = {
     "second_spot": "There is a second bright spot in the picture.",
     "slice_radial_disagree": "The slice and the average over all directions differ by more than their errors.",
     "speckle": "A laser makes speckle: the error of the total is larger than the noise says.",
+    "spot_differs": "The spot on the tile is not as wide as session.toml states: out of focus, or another beam?",
     "unnamed": "The material is still unnamed, as in the template: are the other values yours, or its examples?",
+    "view_angle_off": "The isophotes of sample and tile ask for another view angle, which provenance names.",
     "view_angle_sd_assumed": "session.toml does not state view_angle_sd_deg: 1 degree was assumed.",
     "white_below_stated": "Values pile up below the stated white: they were taken as saturated from there on.",
     "white_unseen": "No frame reaches saturation: the white that is stated was used, and none where none is.",

@@ -60,7 +60,7 @@ def total_light(
     is taken for veiling glare and subtracted; `per_light` = 1/KΦ, where known, then helps to tell it from the sample's
     own light.
     """
-    blocks = _blocks(image, channel, spot)
+    blocks = blocks_of(image, channel, spot)
     across, along = image.surface.centred(blocks.x_px, blocks.y_px, (spot.x_px, spot.y_px))
     area = image.surface.pixel_area_mm2(blocks.x_px, blocks.y_px) * image.px_per_sample[channel]
     curve = radial_profile(image, channel, spot, blocks)
@@ -119,7 +119,7 @@ def light_by_count(image: Image, channel: str) -> Array:
     return np.asarray(sum(np.pad(part, (0, longest - len(part))) for part in parts))
 
 
-def _blocks(image: Image, channel: str, spot: Spot) -> Blocks:
+def blocks_of(image: Image, channel: str, spot: Spot) -> Blocks:
     """Every pixel of the channel once, in blocks that grow with the distance from the spot."""
     parts = [pyramid.around((spot.x_px, spot.y_px)) for pyramid in image.pyramids[channel]]
     return Blocks(*(np.concatenate(fields) for fields in zip(*parts, strict=True)))
@@ -133,7 +133,7 @@ def _points(image: Image, blocks: Blocks, spot: Spot) -> Points:
 
 def radial_profile(image: Image, channel: str, spot: Spot, blocks: Blocks | None = None) -> Profile:
     """Radiance over the distance from the spot, from the whole image."""
-    points = _points(image, _blocks(image, channel, spot) if blocks is None else blocks, spot)
+    points = _points(image, blocks_of(image, channel, spot) if blocks is None else blocks, spot)
     footprint = image.footprint(spot)
     step = max(footprint) * mosaic_period(image.layout)
     edges = bin_edges(step, float(np.hypot(points.across, points.along).max()))

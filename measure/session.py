@@ -76,7 +76,7 @@ def measure_session(
             curve,
             flags=tuple(dict.fromkeys((*told.flags, *unnamed, *curve.flags))),
             shared_errors=_of_reference(listed, merged.provenance["sha256"]),
-            provenance=merged.provenance,
+            provenance={**merged.provenance, **curve.provenance},
         )
     measured = Measured(merged.images, merged.provenance, curve)
     if from_hdr:

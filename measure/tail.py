@@ -8,6 +8,7 @@ beyond a line around the beam is a single integral along that line.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -55,24 +56,27 @@ class Surroundings(NamedTuple):
 
     def attenuation(self, total: float) -> float:
         """σtr times the mean free path of the half space whose total, as this camera sees it, is `total`."""
+        loss = self.loss(total)
+        return decay_constant(self._albedo(loss), self.g) * (1 + self.g / (1 - self.g) * (1 - loss))
+
+    @functools.lru_cache(maxsize=32)  # noqa: B019 - a tuple of numbers, and few of them
+    def loss(self, total: float) -> float:
+        """1 − α′ of that half space; the least or most that is looked for where none has this total."""
         cosines = np.array([np.cos(np.radians(self.view_angle_deg))])
         entering = float(transmittance(self.eta, np.cos(np.radians([self.incidence_deg])))[0])
 
-        def albedo(log_loss: float) -> float:
-            scattering = (1 - np.exp(log_loss)) / (1 - self.g)
-            return float(scattering / (scattering + np.exp(log_loss)))
-
         def excess(log_loss: float) -> float:
-            seen = half_space(albedo(log_loss), self.g, self.eta, cosines, _ORDINATES).radiance[0]
+            seen = half_space(self._albedo(np.exp(log_loss)), self.g, self.eta, cosines, _ORDINATES).radiance[0]
             return float(entering * seen) - total
 
         low, high = _LOG_LOSS
         if not excess(high) < 0 < excess(low):
-            log_loss = low if total > 0.5 else high
-        else:
-            log_loss = brentq(excess, low, high, xtol=1e-4)
-        mfp = 1 + self.g / (1 - self.g) * (1 - np.exp(log_loss))
-        return decay_constant(albedo(log_loss), self.g) * mfp
+            return float(np.exp(low if total > 0.5 else high))
+        return float(np.exp(brentq(excess, low, high, xtol=1e-4)))
+
+    def _albedo(self, loss: float) -> float:
+        scattering = (1 - loss) / (1 - self.g)
+        return float(scattering / (scattering + loss))
 
 
 @dataclass(frozen=True)

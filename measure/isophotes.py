@@ -1,0 +1,256 @@
+"""Does the picture agree with the stated view? The isophotes of a round spot, as the surface's map has them, tell.
+
+Where view angle and axis are right they are circles but for the exit law, which a white table knows. Where they are
+not, lengths along the view are off by a factor e^aspect against those across, and the isophotes are ellipses:
+ln L ∝ ½ |d ln L/d ln r| aspect cos 2φ, φ the azimuth from the plane of view. Lengths in mm.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+
+from bssrdf.calib.spot import Spot
+from bssrdf.calib.surface import Surface
+from bssrdf.errors import InputError
+from bssrdf.measure.image import Image
+from bssrdf.measure.reflectance import Total, blocks_of
+from bssrdf.measure.tail import Surroundings
+from bssrdf.session.records import Array, Session
+from bssrdf.transport.exit_azimuth import second_harmonic
+from bssrdf.transport.table_cache import shipped
+
+LEAST_VIEW_DEG = 15.0
+"""A view nearer to the normal foreshortens by less than 4 %."""
+MOST_INCIDENCE_DEG = 5.0
+"""A beam farther from the normal draws the light out by itself."""
+_RING = 1.15
+"""Outer over inner radius of a ring."""
+_INNER_MFP = 3.0
+"""Mean free paths from the beam at which light scattered once has gone, and the table's harmonic holds to 10 %."""
+_INNER_SPOTS = 3.0
+_CORE_SPOTS = (0.7, 1.5)
+_INNER_FOOTPRINTS = 6.0
+_DISH_SHARE = 0.7
+"""Of the inner radius of a dish: farther out its wall shapes the light."""
+_LEAST_TOTAL = 0.05
+"""A darker sample shows little but light scattered once, whose isophotes are a line."""
+_LEAST_POINTS = 40
+_HARMONIC_REL_SD, _HARMONIC_SD = 0.2, 0.01
+"""How far the exit law's harmonic is right: for another g, another mean free path, and as simulated light shows."""
+_CORE_SD = 0.05
+"""How round a beam is taken to be."""
+_RING_SD = 0.1
+"""A ring that tells its aspect worse than this tells nothing."""
+_BEYOND = 0.2
+_CLEAR_SD, _CLEAR_STATED = 3.0, 2.0
+_SWAP_SD = 5.0
+
+
+class Aspect(NamedTuple):
+    """How far isophotes are drawn out: ln of the ratio along and across the view, and at 45° to it; their error."""
+
+    along: float
+    oblique: float
+    sd: float
+
+
+class Seen(NamedTuple):
+    """What the isophotes say: by image where they could be read, and the flags that follow."""
+
+    aspects: dict[str, Aspect]
+    flags: list[str]
+
+    def told(self, view_angle_deg: float) -> dict[str, dict[str, float]]:
+        """As numbers for provenance: the aspect, and the view angle that would make it 1."""
+        return {
+            name: {"aspect": float(np.exp(each.along)), "aspect_rel_sd": each.sd}
+            | ({} if (angle := view_angle_by(each, view_angle_deg)) is None else {"view_angle_deg": angle})
+            for name, each in self.aspects.items()
+        }
+
+
+def view_angle_by(aspect: Aspect, stated_deg: float) -> float | None:
+    """The view angle that would make circles of the isophotes; None where none can."""
+    cosine = float(np.cos(np.radians(stated_deg)) * np.exp(aspect.along))
+    return float(np.degrees(np.arccos(cosine))) if cosine <= 1 else None
+
+
+class View(NamedTuple):
+    """What is known before the isophotes are looked at."""
+
+    session: Session
+    around: Surroundings
+    spot_mm: float
+    """1/e² radius of the spot as it looks."""
+    channel: str
+    """The one that is looked at."""
+    totals: tuple[Total, Total]
+    """Of sample and tile."""
+    total_r: float
+    view_angle_sd_deg: float
+
+
+def look_at_isophotes(view: View, images: tuple[Image, Image], spots: tuple[Spot, Spot]) -> Seen:
+    """Hold sample and tile against the stated view; InputError where both say that the axis is the other one."""
+    geometry, incidence_deg = view.session.geometry, view.session.beam.incidence_deg
+    assert geometry
+    if geometry.view_angle_deg < LEAST_VIEW_DEG or incidence_deg > MOST_INCIDENCE_DEG:
+        return _unchecked({})
+    sample, tile = (look(view, image, spot) for look, image, spot in zip(_LOOKS, images, spots, strict=True))
+    if sample and tile:
+        _refuse_other_axis(view, images, spots, (sample, tile))
+    aspects = {image.name: each for image, each in zip(images, (sample, tile), strict=True) if each is not None}
+    if sample is None:
+        return _unchecked(aspects)
+    stated_sd = float(np.tan(np.radians(geometry.view_angle_deg)) * np.radians(view.view_angle_sd_deg))
+    return Seen(aspects, _flags(sample, tile, geometry.view_angle_deg, stated_sd))
+
+
+def _unchecked(aspects: dict[str, Aspect]) -> Seen:
+    raised = {"geometry_unchecked": True}
+    return Seen(aspects, list(raised))
+
+
+def _of_sample(view: View, image: Image, spot: Spot) -> Aspect | None:
+    if view.total_r < _LEAST_TOTAL:
+        return None
+    around, material = view.around, view.session.material
+    mfp, q = mean_free_path(view.totals[0], view.total_r, around)
+    dish = np.inf if material is None or material.width_mm is None else _DISH_SHARE * material.width_mm / 2
+
+    def harmonic(r: Array) -> Array:
+        return second_harmonic(shipped(), around.eta, around.g, q, r / mfp, around.view_angle_deg)
+
+    return aspect_of(image, view.channel, spot, (max(_INNER_MFP * mfp, _INNER_SPOTS * view.spot_mm), dish), harmonic)
+
+
+def _of_tile(view: View, image: Image, spot: Spot) -> Aspect | None:
+    """By the light that the tile spreads, else by the core of the spot, as far as the beam is round."""
+    skirt = aspect_of(image, view.channel, spot, (_INNER_SPOTS * view.spot_mm, np.inf), np.zeros_like)
+    if skirt is not None:
+        return skirt
+    inner, outer = (share * view.spot_mm for share in _CORE_SPOTS)
+    core = aspect_of(image, view.channel, spot, (inner, outer), np.zeros_like)
+    return core and core._replace(sd=float(np.hypot(core.sd, _CORE_SD)))
+
+
+_LOOKS = (_of_sample, _of_tile)
+
+
+def _refuse_other_axis(
+    view: View, images: tuple[Image, Image], spots: tuple[Spot, Spot], stated: tuple[Aspect, Aspect]
+) -> None:
+    if any(_misfit(each) < _SWAP_SD for each in stated):
+        return
+    turned = (_other_axis(image) for image in images)
+    other = [look(view, image, spot) for look, image, spot in zip(_LOOKS, turned, spots, strict=True)]
+    if all(b is not None and _misfit(a) - _misfit(b) > _SWAP_SD for a, b in zip(stated, other, strict=True)):
+        axis = images[0].surface.geometry.view_axis
+        drawn = " and ".join(f"{np.exp(each.along):.2f}" for each in stated)
+        raise InputError(
+            f'{view.session.path / "session.toml"}: [geometry] view_axis = "{axis}" does not go with the picture, in '
+            f"which the isophotes of sample and tile are drawn out {drawn} to 1 along it; write the other axis"
+        )
+
+
+def _flags(sample: Aspect, tile: Aspect | None, view_angle_deg: float, stated_sd: float) -> list[str]:
+    def is_off(each: Aspect) -> bool:
+        size = float(np.hypot(each.along, each.oblique))
+        return size > _CLEAR_SD * each.sd and size > _CLEAR_STATED * stated_sd
+
+    agree = tile is not None and max(abs(sample.along - tile.along), abs(sample.oblique - tile.oblique)) < (
+        _CLEAR_SD * float(np.hypot(sample.sd, tile.sd))
+    )
+    of_view = abs(sample.along) > abs(sample.oblique) and view_angle_by(sample, view_angle_deg) is not None
+    raised = {
+        "view_angle_off": is_off(sample) and agree and of_view,
+        "aspect_off": (is_off(sample) and (tile is None or (agree and not of_view)))
+        or (tile is not None and is_off(tile) and not agree),
+        "anisotropic": is_off(sample) and tile is not None and not agree and not is_off(tile),
+    }
+    return [flag for flag, is_raised in raised.items() if is_raised]
+
+
+def _misfit(aspect: Aspect) -> float:
+    return abs(aspect.along) / aspect.sd
+
+
+def _other_axis(image: Image) -> Image:
+    geometry = image.surface.geometry
+    other = replace(geometry, view_axis="x" if geometry.view_axis == "y" else "y")
+    return replace(image, surface=Surface(other, image.surface.distortion))
+
+
+def mean_free_path(total: Total, total_r: float, around: Surroundings) -> tuple[float, float]:
+    """1/σt′ [mm] and q = √(1 − α′), by R and by the radius beyond which a fifth of the light leaves."""
+    loss, kappa = around.loss(total_r), around.attenuation(total_r)
+    rings = total.profile.value * np.pi * (total.profile.r_hi**2 - total.profile.r_lo**2)
+    beyond = 1 - np.cumsum(rings) / total.light
+    radius = float(np.interp(-_BEYOND, -beyond, total.profile.r_hi))
+    x = np.geomspace(0.01, 300, 2000)
+    share = np.zeros_like(x)
+    for depth in (1.0, 1 + 4 / 3 * around.boundary().a):
+        distance = np.hypot(x, depth)
+        share += np.exp(-kappa * (distance - depth)) * depth / distance * np.exp(-kappa * (depth - 1))
+    share /= 1 + np.exp(-kappa * 4 / 3 * around.boundary().a)
+    return radius / float(np.interp(-_BEYOND, -share, x)), float(np.sqrt(loss))
+
+
+def aspect_of(
+    image: Image, channel: str, spot: Spot, radii: tuple[float, float], harmonic: Callable[[Array], Array]
+) -> Aspect | None:
+    """The aspect of the isophotes between two radii; None where no whole ring there is clear of noise.
+
+    `harmonic` is what the exit law makes of it, at radii.
+    """
+    blocks = blocks_of(image, channel, spot)
+    good = blocks.n > 0
+    across, along = image.surface.centred(blocks.x_px[good], blocks.y_px[good], (spot.x_px, spot.y_px))
+    value, n, r = blocks.value[good], blocks.n[good], np.hypot(across, along)
+    inner = max(radii[0], _INNER_FOOTPRINTS * max(image.footprint(spot)))
+    outer = min(radii[1], float(np.hypot(*image.outline(spot)).min()))
+    edges = inner * _RING ** np.arange(1 + max(0, int(np.log(max(outer / inner, 1.0)) / np.log(_RING))))
+    found = []
+    for low, high in pairwise(edges):
+        here = (r >= low) & (r < high)
+        ring = _ring(across[here], along[here], value[here], n[here], float(np.sqrt(low * high)))
+        if ring is not None:
+            found.append(ring)
+    if not found:
+        return None
+    middle, slope, along_2, oblique_2, noise = np.array(found).T
+    expected = harmonic(middle)
+    to_aspect = 2 / slope
+    weight = 1 / ((noise * to_aspect) ** 2 + _HARMONIC_SD**2)
+    systematic = np.hypot(_HARMONIC_REL_SD * expected, _HARMONIC_SD) * to_aspect
+    mean, oblique = (float(np.average(each * to_aspect, weights=weight)) for each in (along_2 - expected, oblique_2))
+    statistical = float(np.sqrt(np.sum((weight * noise * to_aspect) ** 2)) / weight.sum())
+    return Aspect(mean, oblique, float(np.hypot(statistical, np.average(systematic, weights=weight))))
+
+
+def _ring(across: Array, along: Array, value: Array, n: Array, middle: float) -> tuple[float, ...] | None:
+    """Radius, −d ln L/d ln r, second harmonics along and at 45°, and their noise; None where these are not clear."""
+    if len(value) < _LEAST_POINTS:
+        return None
+    r = np.hypot(across, along)
+    cosine, sine, log_r, weight = along / r, across / r, np.log(r / middle), np.sqrt(n)
+    terms = [np.ones_like(r), log_r, log_r**2, cosine, sine, cosine**2 - sine**2, 2 * cosine * sine]
+    columns = np.stack(terms, axis=1) * weight[:, None]
+    slope = 0.0
+    for _ in range(3):
+        level = value * np.exp(slope * log_r)
+        solved = np.linalg.lstsq(columns, level * weight, rcond=None)[0]
+        if not solved[0] > 0:
+            return None
+        slope -= float(solved[1] / solved[0])
+    left = level * weight - columns @ solved
+    covariance = np.linalg.inv(columns.T @ columns) * float(left @ left) / (len(left) - len(solved))
+    noise = float(np.sqrt(covariance[5, 5]) / solved[0])
+    if not (slope > 0.3 and noise * 2 / slope < _RING_SD):
+        return None
+    return middle, slope, float(solved[5] / solved[0]), float(solved[6] / solved[0]), noise
