@@ -36,7 +36,7 @@ Array = NDArray[np.float64]
 EXPOSURES_S = (0.001, 0.004, 0.016, 0.064, 0.25, 1.0, 4.0)
 _PEAK = 0.1
 """Share of the full well that the brightest pixel fills in the shortest exposure."""
-_SPOT_NODES = np.polynomial.hermite_e.hermegauss(9)
+_SPOT_NODES = np.polynomial.hermite_e.hermegauss(5)
 
 
 @dataclass(frozen=True)
