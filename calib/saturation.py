@@ -26,7 +26,8 @@ def pile_up_dn(values: NDArray[Any], step_dn: float, black_dn: float) -> float |
     """The lower end of the pile-up that ends a histogram of one colour's samples, None where there is none."""
     top = float(values.max())
     high = values[values > black_dn + 0.5 * (top - black_dn)].astype(np.float64)
-    for end in (top, float(np.sort(high)[-1 - int(_STRAY * values.size)]) if high.size > _STRAY * values.size else top):
+    below_stray = high.size - 1 - int(_STRAY * values.size)
+    for end in (top, float(np.partition(high, below_stray)[below_stray]) if below_stray >= 0 else top):
         for width, least in ((_STEPS * step_dn, _LEAST_ON_STEPS), (_STRETCH * (end - black_dn), _LEAST_ON_STRETCH)):
             on = np.count_nonzero((high > end - width) & (high <= end))
             before = np.count_nonzero((high > end - 2 * width) & (high <= end - width))

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from bssrdf.calib.photon_transfer import read_noise_dn
+from bssrdf.calib.photon_transfer import read_noise_dn, thinned
 from bssrdf.calib.quantisation import step_dn
 from bssrdf.calib.saturation import pile_up_dn
 from bssrdf.calib.sensor import Sensor
@@ -33,7 +33,7 @@ def first_guess(brackets: Sequence[Bracket], camera: Camera) -> tuple[Sensor, li
     darks = [brackets[0].read(dark) for dark in shortest]
     longest = [bracket.read(bracket.frames[-1]) for bracket in brackets]
     step = _step([*darks, *longest])
-    black = camera.black if camera.black is not None else float(np.median(darks[0]))
+    black = camera.black if camera.black is not None else float(np.median(thinned(darks[0])))
     saturations, flags = _saturations(longest, camera, step, black)
     gain = camera.gain_e_per_dn or GAIN_GUESS / (step or 1.0)
     noise_dn = read_noise_dn(darks[0], darks[1] if len(darks) > 1 else None)

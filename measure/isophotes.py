@@ -46,6 +46,7 @@ _CORE_SD = 0.05
 """How round a beam is taken to be."""
 _RING_SD = 0.1
 """A ring that tells its aspect worse than this tells nothing."""
+_STEPS, _LARGEST_STEP, _SMALL_STEP = 6, 0.5, 0.02
 _BEYOND = 0.2
 _CLEAR_SD, _CLEAR_STATED = 3.0, 2.0
 _SWAP_SD = 5.0
@@ -206,15 +207,38 @@ def aspect_of(
 ) -> Aspect | None:
     """The aspect of the isophotes between two radii; None where no whole ring there is clear of noise.
 
-    `harmonic` is what the exit law makes of it, at radii.
+    `harmonic` is what the exit law makes of it, at radii. Large aspects are found in steps, each from rings drawn by
+    the aspect before.
     """
     blocks = blocks_of(image, channel, spot)
     good = blocks.n > 0
     across, along = image.surface.centred(blocks.x_px[good], blocks.y_px[good], (spot.x_px, spot.y_px))
-    value, n, r = blocks.value[good], blocks.n[good], np.hypot(across, along)
-    inner = max(radii[0], _INNER_FOOTPRINTS * max(image.footprint(spot)))
-    outer = min(radii[1], float(np.hypot(*image.outline(spot)).min()))
-    edges = inner * _RING ** np.arange(1 + max(0, int(np.log(max(outer / inner, 1.0)) / np.log(_RING))))
+    outline, footprint = image.outline(spot), max(image.footprint(spot))
+    found, drawn = None, 0.0
+    for _ in range(_STEPS):
+        back = float(np.exp(-drawn))
+        reach = float(np.hypot(outline[0], outline[1] * back).min())
+        edges = _edges(max(radii[0], _INNER_FOOTPRINTS * footprint * max(1.0, back)), min(radii[1], reach))
+        step = _aspect(across, along * back, blocks.value[good], blocks.n[good], edges, harmonic)
+        if step is None:
+            break
+        drawn += float(np.clip(step.along, -_LARGEST_STEP, _LARGEST_STEP))
+        found = step._replace(along=drawn)
+        if abs(step.along) < _SMALL_STEP:
+            break
+    return found
+
+
+def _edges(inner: float, outer: float) -> Array:
+    n = max(0, int(np.log(max(outer / inner, 1.0)) / np.log(_RING)))
+    return np.asarray(inner * _RING ** np.arange(n + 1))
+
+
+def _aspect(
+    across: Array, along: Array, value: Array, n: Array, edges: Array, harmonic: Callable[[Array], Array]
+) -> Aspect | None:
+    """The aspect to first order, from the rings between the edges."""
+    r = np.hypot(across, along)
     found = []
     for low, high in pairwise(edges):
         here = (r >= low) & (r < high)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from bssrdf.calib.exposures import Comparison, comparable, compared, signal_weight
 from bssrdf.calib.frame_model import Exposed, Exposures, FrameModel, leak_of, solve_frames
-from bssrdf.calib.photon_transfer import Gain, clipped_variance, pair_gain
+from bssrdf.calib.photon_transfer import Gain, clipped_variance, pair_gain, thinned
 from bssrdf.calib.registration import shift_between
 from bssrdf.calib.saturation import plateau_dn
 from bssrdf.calib.sensor import Sensor
@@ -243,8 +243,8 @@ def _hot(brackets: Sequence[Bracket], sensor: Sensor) -> NDArray[np.bool_]:
     """Pixels whose dark signal in the longest exposure stands far out."""
     longest = max((bracket.darks[-1][0] for bracket in brackets), key=lambda dark: dark.exposure_s)
     dark = brackets[0].read(longest).astype(np.float32)
-    excess = dark - np.median(dark)
-    noise = np.sqrt(clipped_variance(excess.astype(float).ravel()) + 3 * sensor.quantisation_var_dn())
+    excess = dark - np.float32(np.median(thinned(dark)))
+    noise = np.sqrt(clipped_variance(thinned(excess).astype(float)) + 3 * sensor.quantisation_var_dn())
     return np.asarray(excess > _HOT_SD * max(noise, np.finfo(np.float32).tiny))
 
 

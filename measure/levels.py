@@ -21,6 +21,9 @@ from bssrdf.measure.merge import Sample, Shot, read_ahead
 _DARKER_SD = 5.0
 _LEAST_FLUX_PIXELS = 100
 _MOST_GAIN_PIXELS = 500_000
+_STRIP_ROWS = 16
+_SPOT_PIXELS, _MOST_PIXELS = 1_000_000, 2_000_000
+"""Of a large frame the rows of the beam's spot are compared, and strips of others: more tell nothing new."""
 
 
 @dataclass
@@ -72,9 +75,12 @@ def levels_of(bracket: Bracket, sensor: Sensor) -> Iterator[Level]:
     """The levels of a bracket, shortest first; InputError where a dark is brighter than its frame."""
     shots = bracket.shots(bracket.exposures_s())
     label = {frame.file: frame.exposure_s for frame in bracket.frames}
+    rows: Any = None
     for label_s, group in groupby(read_ahead(shots), key=lambda pair: label[pair[0].name]):
         level, clear = None, None
-        for shot, sample in group:
+        for shot, whole in group:
+            rows = telling_rows(whole) if rows is None else rows
+            sample = whole._replace(raw=whole.raw[rows], dark=whole.dark[rows])
             signal = np.subtract(sample.raw, sample.dark, dtype=np.float32)
             _check_brighter_than_dark(shot, signal, float(np.sqrt(sensor.read_var_dn())))
             if level is None or clear is None:
@@ -87,6 +93,22 @@ def levels_of(bracket: Bracket, sensor: Sensor) -> Iterator[Level]:
             level.light.append(float(signal[clear].sum(dtype=float)))
         assert level is not None
         yield level
+
+
+def telling_rows(sample: Sample) -> Any:
+    """The rows of a bracket's shortest frame by which its frames are compared, in pairs as a mosaic has them."""
+    height, pixels_a_row = len(sample.raw), sample.raw[0].size
+    if sample.raw.size <= _SPOT_PIXELS + _MOST_PIXELS:
+        return slice(None)
+    light = sample.raw.sum(axis=tuple(range(1, sample.raw.ndim)), dtype=float)
+    light -= sample.dark.sum(axis=tuple(range(1, sample.raw.ndim)), dtype=float)
+    beam = int(np.argmax(np.convolve(light, np.ones(_STRIP_ROWS), "same")))
+    every = -(-height * pixels_a_row // _MOST_PIXELS)
+    strips = np.arange(height) // _STRIP_ROWS
+    telling = (strips % every == 0) | (
+        np.abs(strips - beam // _STRIP_ROWS) * _STRIP_ROWS * pixels_a_row < _SPOT_PIXELS // 2
+    )
+    return np.flatnonzero(telling)
 
 
 def _add(level: Level, signal: NDArray[np.float32], sample: Sample, sensor: Sensor) -> None:

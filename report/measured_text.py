@@ -18,6 +18,12 @@ def measured_text(measured: Measured) -> str:
             reach = f"{channel.r_mm[0]:.2g}–{channel.r_mm[-1]:.3g} mm"
             lines.append(f"{name}: {total}, {len(channel.r_mm)} radii, {reach}")
         found = measured.provenance.get("found", {})
+        for image, seen in measured.slice.provenance.get("isophotes", {}).items():
+            angle = f"view angle {seen['view_angle_deg']:.1f}°" if "view_angle_deg" in seen else "no view angle"
+            lines.append(
+                f"isophotes of the {image}: {seen['aspect']:.3f} to 1 along the view, ± {seen['aspect_rel_sd']:.3f}: "
+                f"{angle} would make circles of them"
+            )
         lines += [f"{flag}: {MEANING[flag]}{_value(found.get(flag))}" for flag in measured.slice.flags]
     return "\n".join(lines)
 

@@ -23,6 +23,15 @@ _PLAIN_TIFF = (".dng", ".cr2", ".nef")
 """RAW whose tables can be trusted to say where the pixels end."""
 _NOT_BY_LIBRAW = (8, 32946, 50002, 52546)
 """Codes of a DNG mosaic: deflate of integers, JPEG XL."""
+_BENT_OR_CUT = (
+    "LinearizationTable",
+    "ActiveArea",
+    "MaskedAreas",
+    "BlackLevelDeltaH",
+    "BlackLevelDeltaV",
+    "OpcodeList1",
+)
+"""Tags of a DNG that ask for more than taking its numbers as they stand."""
 
 
 def read_raw(path: Path, *, pixels: bool = True) -> RawFrame:
@@ -65,12 +74,17 @@ def _check_pattern(path: Path, tags: Mapping[str, Any]) -> None:
 
 
 def _is_for_tiff(tags: Mapping[str, Any]) -> bool:
-    """Whether this is a DNG of colour planes, of floats (LibRaw rounds them), or of a code that it does not know."""
+    """Whether this is a DNG of colour planes, of floats (LibRaw rounds them), of a code that it does not know, or plain.
+
+    Numbers that lie there as they are get read eight times faster without LibRaw.
+    """
     if "DNGVersion" not in tags:
         return False
     planes = tags.get("PhotometricInterpretation") == 34892 and tags.get("SamplesPerPixel", 1) > 1
     floats = 3 in np.ravel(tags.get("SampleFormat", 1))
-    return bool(planes or floats or tags.get("Compression") in _NOT_BY_LIBRAW)
+    as_they_are = tags.get("Compression") == 1 and tags.get("BitsPerSample") in (16, (16,))
+    plain = as_they_are and not tags.keys() & {*_BENT_OR_CUT}
+    return bool(planes or floats or plain or tags.get("Compression") in _NOT_BY_LIBRAW)
 
 
 def _quick_card(raw: Any, tags: Mapping[str, Any]) -> Card:
