@@ -74,7 +74,7 @@ def _check_pattern(path: Path, tags: Mapping[str, Any]) -> None:
 
 
 def _is_for_tiff(tags: Mapping[str, Any]) -> bool:
-    """Whether this is a DNG of colour planes, of floats (LibRaw rounds them), of a code that it does not know, or plain.
+    """Whether this is a DNG of colour planes, of floats (LibRaw rounds them), plain, or of a code it does not know.
 
     Numbers that lie there as they are get read eight times faster without LibRaw.
     """
