@@ -30,7 +30,7 @@ MOST_INCIDENCE_DEG = 5.0
 """A beam farther from the normal draws the light out by itself."""
 _RING = 1.15
 """Outer over inner radius of a ring."""
-_INNER_MFP = 3.0
+_INNER_MFP = 2.5
 """Mean free paths from the beam at which light scattered once has gone, and the table's harmonic holds to 10 %."""
 _INNER_SPOTS = 3.0
 _CORE_SPOTS = (0.7, 1.5)
@@ -106,9 +106,11 @@ def look_at_isophotes(view: View, images: tuple[Image, Image], spots: tuple[Spot
     if sample and tile:
         _refuse_other_axis(view, images, spots, (sample, tile))
     aspects = {image.name: each for image, each in zip(images, (sample, tile), strict=True) if each is not None}
-    if sample is None:
-        return _unchecked(aspects)
     stated_sd = float(np.tan(np.radians(geometry.view_angle_deg)) * np.radians(view.view_angle_sd_deg))
+    if sample is None:
+        tile_off = tile is not None and _is_off(tile, stated_sd)
+        raised = {"aspect_off": tile_off, "geometry_unchecked": not tile_off}
+        return Seen(aspects, [flag for flag, is_raised in raised.items() if is_raised])
     return Seen(aspects, _flags(sample, tile, geometry.view_angle_deg, stated_sd))
 
 
@@ -161,8 +163,7 @@ def _refuse_other_axis(
 
 def _flags(sample: Aspect, tile: Aspect | None, view_angle_deg: float, stated_sd: float) -> list[str]:
     def is_off(each: Aspect) -> bool:
-        size = float(np.hypot(each.along, each.oblique))
-        return size > _CLEAR_SD * each.sd and size > _CLEAR_STATED * stated_sd
+        return _is_off(each, stated_sd)
 
     agree = tile is not None and max(abs(sample.along - tile.along), abs(sample.oblique - tile.oblique)) < (
         _CLEAR_SD * float(np.hypot(sample.sd, tile.sd))
@@ -175,6 +176,11 @@ def _flags(sample: Aspect, tile: Aspect | None, view_angle_deg: float, stated_sd
         "anisotropic": is_off(sample) and tile is not None and not agree and not is_off(tile),
     }
     return [flag for flag, is_raised in raised.items() if is_raised]
+
+
+def _is_off(aspect: Aspect, stated_sd: float) -> bool:
+    size = float(np.hypot(aspect.along, aspect.oblique))
+    return size > _CLEAR_SD * aspect.sd and size > _CLEAR_STATED * stated_sd
 
 
 def _misfit(aspect: Aspect) -> float:
