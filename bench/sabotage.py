@@ -151,10 +151,11 @@ def write_session(path: Path, bench: Bench, seed: int = 0) -> None:
             (path / file).write_bytes(dng_bytes(frame, sensor, seconds, bench.iso.get(subject, 100)))
             frames.append(Frame(file, kind, label_s))
     write_frames(path, frames)
-    (path / "session.toml").write_text(_toml(bench, reflectance), encoding="utf-8")
+    (path / "session.toml").write_text(toml_of(bench, reflectance), encoding="utf-8")
 
 
-def _toml(bench: Bench, reflectance: Sequence[float]) -> str:
+def toml_of(bench: Bench, reflectance: Sequence[float]) -> str:
+    """session.toml of this bench."""
     geometry = {"mm_per_px": bench.mm_per_px, "view_angle_deg": bench.view_angle_deg, "view_axis": bench.view_axis}
     eta = next(iter(published_sample(bench.material).media.values())).eta
     tables: dict[str, dict[str, Any]] = {
