@@ -29,6 +29,17 @@ from bssrdf.session.records import Frame, FrameKind
 SMALL = (400, 600)
 KINDS: tuple[FrameKind, ...] = ("sample", "reference", "sample_dark", "reference_dark")
 
+_AND_PEAK = """
+import re, sys
+from pathlib import Path
+from bssrdf.cli import cli
+from bssrdf.console import run
+code = run(cli, sys.argv[1:])
+print(re.search(r"VmHWM:\\s*(\\d+)", Path("/proc/self/status").read_text())[1])
+sys.exit(code)
+"""
+"""A command, and then its own peak memory [kB] as Linux has it: a child's usage would hold its parent's."""
+
 
 class Cost(NamedTuple):
     """Of one command."""
@@ -73,17 +84,12 @@ def cost_of(*arguments: object) -> Cost:
     """What a command of the project costs, in a process of its own."""
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
     start = time.monotonic()
-    code = (
-        "import resource, sys; from bssrdf.console import run; from bssrdf.cli import cli;"
-        "code = run(cli, sys.argv[1:]); print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss); sys.exit(code)"
-    )
     done = subprocess.run(
-        [sys.executable, "-c", code, *map(str, arguments)], check=True, capture_output=True, text=True
+        [sys.executable, "-c", _AND_PEAK, *map(str, arguments)], check=True, capture_output=True, text=True
     )
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
     cpu = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
-    kilobytes = 1 if sys.platform == "linux" else 1024
-    return Cost(cpu, time.monotonic() - start, float(done.stdout.split()[-1]) / kilobytes / 1e6)
+    return Cost(cpu, time.monotonic() - start, float(done.stdout.split()[-1]) / 1e6)
 
 
 def main() -> None:

@@ -71,7 +71,7 @@ def test_a_wrong_angle_is_flagged_with_the_right_one(marble: Path, skin: Path, o
         curve = again(path, geometry={"view_angle_deg": 45.0 + off_deg})
         assert GEOMETRY & set(curve.flags) in ({"view_angle_off"}, {"aspect_off"})
         for seen in curve.provenance["isophotes"].values():
-            assert seen["view_angle_deg"] == pytest.approx(45, abs=1.5)
+            assert seen["view_angle_deg"] == pytest.approx(45, abs=2.0)
 
 
 def test_an_angle_stated_as_uncertain_is_let_pass(marble: Path) -> None:
