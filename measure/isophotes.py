@@ -102,7 +102,7 @@ def look_at_isophotes(view: View, images: tuple[Image, Image], spots: tuple[Spot
     assert geometry
     if geometry.view_angle_deg < LEAST_VIEW_DEG or incidence_deg > MOST_INCIDENCE_DEG:
         return _unchecked({})
-    sample, tile = (look(view, image, spot) for look, image, spot in zip(_LOOKS, images, spots, strict=True))
+    sample, tile = _look(view, images, spots)
     if sample and tile:
         _refuse_other_axis(view, images, spots, (sample, tile))
     aspects = {image.name: each for image, each in zip(images, (sample, tile), strict=True) if each is not None}
@@ -119,17 +119,25 @@ def _unchecked(aspects: dict[str, Aspect]) -> Seen:
     return Seen(aspects, list(raised))
 
 
-def _of_sample(view: View, image: Image, spot: Spot) -> Aspect | None:
+def _look(view: View, images: tuple[Image, Image], spots: tuple[Spot, Spot]) -> tuple[Aspect | None, Aspect | None]:
+    """Of sample and tile. The tile's, whose light needs no model, says where to look for the sample's."""
+    tile = _of_tile(view, images[1], spots[1])
+    return _of_sample(view, images[0], spots[0], tile.along if tile else 0.0), tile
+
+
+def _of_sample(view: View, image: Image, spot: Spot, start: float) -> Aspect | None:
     if view.total_r < _LEAST_TOTAL:
         return None
     around, material = view.around, view.session.material
     mfp, q = mean_free_path(view.totals[0], view.total_r, around)
+    mfp *= float(np.exp(-start / 2))  # it was found where the map has lengths along the view wrong by e^start
     dish = np.inf if material is None or material.width_mm is None else _DISH_SHARE * material.width_mm / 2
 
     def harmonic(r: Array) -> Array:
         return second_harmonic(shipped(), around.eta, around.g, q, r / mfp, around.view_angle_deg)
 
-    return aspect_of(image, view.channel, spot, (max(_INNER_MFP * mfp, _INNER_SPOTS * view.spot_mm), dish), harmonic)
+    radii = (max(_INNER_MFP * mfp, _INNER_SPOTS * view.spot_mm), dish)
+    return aspect_of(image, view.channel, spot, radii, harmonic, start)
 
 
 def _of_tile(view: View, image: Image, spot: Spot) -> Aspect | None:
@@ -142,16 +150,12 @@ def _of_tile(view: View, image: Image, spot: Spot) -> Aspect | None:
     return core and core._replace(sd=float(np.hypot(core.sd, _CORE_SD)))
 
 
-_LOOKS = (_of_sample, _of_tile)
-
-
 def _refuse_other_axis(
     view: View, images: tuple[Image, Image], spots: tuple[Spot, Spot], stated: tuple[Aspect, Aspect]
 ) -> None:
     if any(_misfit(each) < _SWAP_SD for each in stated):
         return
-    turned = (_other_axis(image) for image in images)
-    other = [look(view, image, spot) for look, image, spot in zip(_LOOKS, turned, spots, strict=True)]
+    other = _look(view, (_other_axis(images[0]), _other_axis(images[1])), spots)
     if all(b is not None and _misfit(a) - _misfit(b) > _SWAP_SD for a, b in zip(stated, other, strict=True)):
         axis = images[0].surface.geometry.view_axis
         drawn = " and ".join(f"{np.exp(each.along):.2f}" for each in stated)
@@ -209,7 +213,12 @@ def mean_free_path(total: Total, total_r: float, around: Surroundings) -> tuple[
 
 
 def aspect_of(
-    image: Image, channel: str, spot: Spot, radii: tuple[float, float], harmonic: Callable[[Array], Array]
+    image: Image,
+    channel: str,
+    spot: Spot,
+    radii: tuple[float, float],
+    harmonic: Callable[[Array], Array],
+    start: float = 0.0,
 ) -> Aspect | None:
     """The aspect of the isophotes between two radii; None where no whole ring there is clear of noise.
 
@@ -220,7 +229,7 @@ def aspect_of(
     good = blocks.n > 0
     across, along = image.surface.centred(blocks.x_px[good], blocks.y_px[good], (spot.x_px, spot.y_px))
     outline, footprint = image.outline(spot), max(image.footprint(spot))
-    found, drawn = None, 0.0
+    found, drawn = None, start
     for _ in range(_STEPS):
         back = float(np.exp(-drawn))
         reach = float(np.hypot(outline[0], outline[1] * back).min())

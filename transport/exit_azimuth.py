@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bssrdf.transport.exit_radiance import DEGREE, across_basis, shape_basis
-from bssrdf.transport.table_grid import N_U_COARSE, N_V_COARSE, R_ZERO, U_MAX, V_MAX, basis, u_of
+from bssrdf.transport.table_grid import N_U_COARSE, N_V_COARSE, R_MAX, R_ZERO, U_MAX, V_MAX, basis, u_of
 from bssrdf.transport.table_set import TableSet, lagrange
 
 Floats = NDArray[np.float64]
@@ -25,7 +25,7 @@ def second_harmonic(tables: TableSet, eta: float, g: float, q: float, r_mfp: Flo
     weights = np.outer(lagrange(tables.gs, g), lagrange(tables.etas, eta))
     coefficients = np.tensordot(weights, tables.angles, 2)
     along_u = basis(np.array([u_of(q)]), U_MAX, N_U_COARSE)
-    along_v = basis(np.log1p(r_mfp / R_ZERO), V_MAX, N_V_COARSE)
+    along_v = basis(np.log1p(np.minimum(r_mfp, R_MAX) / R_ZERO), V_MAX, N_V_COARSE)
     shapes = along_v @ np.tensordot(along_u[0], coefficients, 1)
     mu = np.cos(np.radians([view_angle_deg]))
     lobe, across = shapes[:, : DEGREE + 1] @ shape_basis(eta, mu)[0], shapes[:, DEGREE + 1 :] @ across_basis(eta, mu)[0]
