@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bssrdf.errors import InputError
+from bssrdf.fit.run import FitOptions, fit_slices
 from bssrdf.measure.session import measure_session
 from bssrdf.rig.sim.picture import View, picture
 from bssrdf.rig.sim.raw_files import dng_bytes
@@ -29,6 +30,7 @@ from bssrdf.rig.sim.sensor import Sensor, expose, mosaic
 from bssrdf.session.frames_csv import write_frames
 from bssrdf.session.records import Frame, FrameKind
 from bssrdf.session.session_toml import read_session
+from bssrdf.session.slice_csv import read_slice
 from bssrdf.session.toml_text import toml_table
 
 Array = NDArray[np.float64]
@@ -241,29 +243,23 @@ def judge(name: str, folder: Path, *, holds_truth: Callable[[Path, Bench], bool]
         return Outcome(name, True, f"refused: {str(error).replace(str(folder), '…')}")
     assert curve is not None
     named = [flag for flag in curve.flags if flag in causes]
+    held = holds_truth is not None and holds_truth(folder, bench)
     if named:
-        return Outcome(name, True, f"flagged: {' '.join(named)}")
-    if holds_truth is not None and holds_truth(folder, bench):
-        return Outcome(name, True, "its intervals hold the truth")
-    return Outcome(name, False, f"missed: flags {' '.join(curve.flags)}")
+        return Outcome(name, True, f"flagged: {' '.join(named)}{'; its intervals hold the truth' if held else ''}")
+    return Outcome(name, held, "its intervals hold the truth" if held else f"missed: flags {' '.join(curve.flags)}")
 
 
 def truth_is_held(folder: Path, bench: Bench) -> bool:
     """Whether every interval of the fit that has one holds what the bench was given."""
-    from bssrdf.fit.run import FitOptions
-    from bssrdf.workflow import fit_files
-
-    (fit,) = fit_files([folder], FitOptions(), {})
+    (fit,) = fit_slices([read_slice(folder / "measured/slice.csv")], FitOptions())
     media = published_sample(bench.material).media
-    if isinstance(fit, Exception):
-        return True
     return all(
         channel.status == "unidentifiable"
         or (
             channel.sigma_a_interval95_per_mm[0] <= media[name].sigma_a <= channel.sigma_a_interval95_per_mm[1]
             and channel.sigma_sp_interval95_per_mm[0] <= media[name].sigma_sp <= channel.sigma_sp_interval95_per_mm[1]
         )
-        for name, channel in fit.channels.items()
+        for name, channel in fit.items()
     )
 
 
