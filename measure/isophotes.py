@@ -47,7 +47,8 @@ _CORE_SD = 0.05
 _RING_SD = 0.1
 """A ring that tells its aspect worse than this tells nothing."""
 _STEPS, _LARGEST_STEP, _SMALL_STEP = 6, 0.5, 0.02
-_BEYOND = 0.2
+_BEYOND = 0.5
+"""Share of the light by whose radius a length is told: farther out it leaves the frame."""
 _CLEAR_SD, _CLEAR_STATED = 3.0, 2.0
 _SWAP_SD = 5.0
 
@@ -198,7 +199,7 @@ def _other_axis(image: Image) -> Image:
 
 
 def mean_free_path(total: Total, total_r: float, around: Surroundings) -> tuple[float, float]:
-    """1/σt′ [mm] and q = √(1 − α′), by R and by the radius beyond which a fifth of the light leaves."""
+    """1/σt′ [mm] and q = √(1 − α′), by R and by the radius beyond which half of the light leaves."""
     loss, kappa = around.loss(total_r), around.attenuation(total_r)
     rings = total.profile.value * np.pi * (total.profile.r_hi**2 - total.profile.r_lo**2)
     beyond = 1 - np.cumsum(rings) / total.light
