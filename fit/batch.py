@@ -10,10 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bssrdf.errors import InputError
+from bssrdf.fit.compiled import FROM, settled
 from bssrdf.fit.errors import Judged, judge
 from bssrdf.fit.layout import Curves, Row, Total, camera_factor, row_of, sight_of, stack
 from bssrdf.fit.models import Making, beside, table_of_medium
-from bssrdf.fit.solve import Solution, settle, starts
+from bssrdf.fit.solve import Solution, settle, start, starts_of
 from bssrdf.fit.terms import EXIT_MODES, TABLE_MODES, Constraint, Neighbours, Plan, Point, Problem, Sds, Shared, Source
 from bssrdf.session.records import Slice
 from bssrdf.transport.arrays import NUMPY
@@ -26,6 +27,10 @@ DISTINCT = 0.02
 """In ln σt′ and ln q: rough optima nearer than this are one."""
 NEAR_BEST = 30.0
 """Times the best rough misfit up to which another valley is followed to its end."""
+DOUBTFUL = 2.0
+"""Reduced cost from which on other starts are tried too."""
+DARK_Q = 1.0
+"""Likewise: R hardly tells one dark medium from another."""
 RIVAL = 4.0
 """Of the cost, in the scatter's own variance: a second optimum this near the best is as good."""
 
@@ -67,12 +72,14 @@ class Fitted(NamedTuple):
     """Another optimum that fits as well; NaN where there is none."""
 
 
-def groups_of(jobs: Sequence[Job], options: Options) -> list[list[int]]:
-    """Places of the jobs that can share a batch."""
+def groups_of(jobs: Sequence[Job], options: Options) -> list[tuple[list[int], bool]]:
+    """Places of the jobs that can share a batch, and whether there are so many of their kind that compiling pays."""
     groups: dict[Any, list[int]] = {}
     for at, job in enumerate(jobs):
         groups.setdefault(_key(job, options), []).append(at)
-    return [places[k : k + BATCH] for places in groups.values() for k in range(0, len(places), BATCH)]
+    return [
+        (places[k : k + BATCH], len(places) >= FROM) for places in groups.values() for k in range(0, len(places), BATCH)
+    ]
 
 
 def _key(job: Job, options: Options) -> Any:
@@ -125,14 +132,21 @@ def _totals(job: Job, constraint: Constraint) -> tuple[int, ...]:
     return tuple(chosen.values())
 
 
-def fit_group(jobs: Sequence[Job], options: Options, name: Literal["dipole", "mc"], making: Making) -> Fitted:
-    """Fit jobs of one key by one model."""
+def fit_group(
+    jobs: Sequence[Job],
+    options: Options,
+    name: Literal["dipole", "mc"],
+    making: Making,
+    *,
+    compile_it: bool = False,
+) -> Fitted:
+    """Fit jobs of one key, at most BATCH, by one model; with `compile_it` by JAX, which pays for many batches."""
     piece = jobs[0].pieces[0]
     model = dipole(piece.eta) if name == "dipole" else table_of_medium(piece.eta, piece.g, options.tables, making)
     aside = beside(name, piece.eta, piece.g)
     rows = [tuple(row_of(piece, job.channel, options.window_mm) for piece in job.pieces) for job in jobs]
     plan, data = problem_of(jobs, rows, options, model, aside)
-    found, rival = _best(plan, model, data, aside)
+    found, rival = _best(plan, model, data, aside, compile_it=compile_it)
     return Fitted(jobs, options, rows, plan, model, aside, data, found, judge(NUMPY, plan, model, data, found), rival)
 
 
@@ -223,25 +237,35 @@ def _factor_slopes(piece: Slice) -> tuple[float, float]:
     return by_view, (by_eta[1] - by_eta[0]) / (2 * eta)
 
 
-def _best(plan: Plan, model: Light, data: Problem, aside: Neighbours) -> tuple[Solution, Point]:
-    """The lowest of the optima reached from all starts, and one as good at another place."""
-    begun = starts(NUMPY, plan, model, data)
-    misfits = np.stack([np.where(np.isfinite(misfit), misfit, np.inf) for _, misfit in begun])
-    points = np.stack([np.concatenate(point, axis=1) for point, _ in begun])
-    b = misfits.shape[1]
-    order = np.argsort(misfits, axis=0, kind="stable")
-    rows = np.arange(b)
-    first = points[order[0], rows]
-    found = settle(NUMPY, plan, model, data, _point(first), aside)
+def _best(plan: Plan, model: Light, data: Problem, aside: Neighbours, *, compile_it: bool) -> tuple[Solution, Point]:
+    """The lowest of the optima reached from several starts, and one as good at another place."""
+    every, more = starts_of(plan)
+    b = data.curves[0].r_lo.shape[0]
     rival = np.full((b, 3), np.nan)
-    for place in order[1:]:
-        other = points[place, rows]
-        apart = (np.abs(_logs(other) - _logs(first)) > DISTINCT).any(axis=1)
-        again = np.flatnonzero(apart & (misfits[place, rows] < NEAR_BEST * misfits[order[0], rows] + 10))
-        if not again.size:
-            continue
-        ended = settle(NUMPY, plan, model, picked(data, again), _point(other[again]), aside)
-        found, rival = _compared(model, data, found, ended, again, rival)
+    rows = np.arange(b)
+    if compile_it and len(every) == 1:
+        found, others = settled(plan, model, data, aside, BATCH), []
+    else:
+        begun = [start(NUMPY, plan, model, data, number) for number in every]
+        misfits = np.stack([np.where(np.isfinite(misfit), misfit, np.inf) for _, misfit in begun])
+        points = np.stack([np.concatenate(point, axis=1) for point, _ in begun])
+        order = np.argsort(misfits, axis=0, kind="stable")
+        found = settle(NUMPY, plan, model, data, _point(points[order[0], rows]), aside)
+        likely = [misfits[place, rows] < NEAR_BEST * misfits[order[0], rows] + 10 for place in order[1:]]
+        others = [(np.flatnonzero(near), points[place, rows]) for near, place in zip(likely, order[1:], strict=True)]
+    doubtful = np.flatnonzero(
+        ~found.converged | (found.cost > DOUBTFUL * _count(found)) | (found.point.q[:, 0] > DARK_Q)
+    )
+    for number in more if doubtful.size else ():
+        point = np.full((b, 3), np.nan)
+        point[doubtful] = np.concatenate(start(NUMPY, plan, model, picked(data, doubtful), number)[0], axis=1)
+        others.append((doubtful, point))
+    for chosen, point in others:
+        ours = np.concatenate(found.point, axis=1)[chosen]
+        again = chosen[(np.abs(_logs(point[chosen]) - _logs(ours)) > DISTINCT).any(axis=1)]
+        if again.size:
+            ended = settle(NUMPY, plan, model, picked(data, again), _point(point[again]), aside)
+            found, rival = _compared(model, data, found, ended, again, rival)
     return found, _point(rival)
 
 

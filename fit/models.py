@@ -19,6 +19,9 @@ ETA_STEP = 0.01
 DIPOLE_SHARE = 0.3
 """Of the statistical sd: a dipole whose model error is below adds at most 4 % to an interval's true width."""
 
+DIPOLE_BEST = 0.005
+"""Relative sd of both coefficients below which nobody need ask: no dipole is right to 0.3 of that."""
+
 RULE = (
     "auto takes the dipole where its model error is below 0.3 of the statistical error in both coefficients, and the "
     "Monte Carlo table elsewhere. The dipole's model error is found by fitting it, with the same radii and weights, to "

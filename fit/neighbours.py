@@ -15,16 +15,18 @@ from bssrdf.fit.errors import Judged, judge
 from bssrdf.fit.layout import Total
 from bssrdf.fit.models import Truth
 from bssrdf.fit.observe import NEAREST_MFP
-from bssrdf.fit.solve import REST, Solution, optimise
+from bssrdf.fit.solve import REST, Solution, optimise, settle
 from bssrdf.fit.terms import Laid, Neighbours, Plan, Point, Problem, Weights, curve, lay
 from bssrdf.transport.arrays import NUMPY
-from bssrdf.transport.light import Light, Table, coefficients, shape_of
+from bssrdf.transport.light import Light, Table, coefficients, dipole, shape_of
 from bssrdf.transport.table_grid import R_ZERO, V_MAX
 
 Floats = NDArray[np.float64]
 LEAST_RATIO = 0.2
 """Of a fitted coefficient to the true one, in undoing a bias."""
 E = NUMPY
+_OF_MODELS = ("table", "exit", "eta", "g")
+"""Shared errors that ask for more than the data."""
 
 
 def to_log(q: Floats) -> Floats:
@@ -96,6 +98,22 @@ def _bias_at(plan: Plan, truth: Truth, data: Problem, found: Solution, at: Point
     with np.errstate(divide="ignore", invalid="ignore"):
         relative = fitted / true - 1
     return np.where(np.isfinite(relative), relative, np.nan), judge(E, plan, truth.dipole, light.data, refit)
+
+
+def dipole_on_light(plan: Plan, truth: Light, data: Problem, at: Point) -> Floats:
+    """Relative error (b, 2) of the dipole fitted to the light of `truth` at these points, as the data lie."""
+    at = at._replace(q=np.clip(at.q, 1e-6, truth.q_max))
+    light = _light_of(plan, truth, data, at)
+    curves = tuple(
+        c._replace(rd=np.broadcast_to(mean[..., None], c.rd.shape))
+        for c, mean in zip(data.curves, light.means, strict=True)
+    )
+    of_dipole = plan._replace(shared=tuple(each for each in plan.shared if each.source not in _OF_MODELS))
+    ended = settle(E, of_dipole, dipole(truth.eta), light.data._replace(curves=curves), at, {})
+    fitted, true = (np.concatenate(coefficients(p.log_sigma, p.q), axis=1) for p in (ended.point, at))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        error = np.abs(fitted / true - 1)
+    return np.where(np.isfinite(error) & ended.converged[:, None], error, np.inf)
 
 
 class _Light(NamedTuple):

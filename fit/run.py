@@ -13,21 +13,20 @@ from bssrdf.fit.batch import Fitted, Job, Options, fit_group, groups_of, picked
 from bssrdf.fit.intervals import Profile, profile
 from bssrdf.fit.models import (
     ASSUMED_G,
+    DIPOLE_BEST,
     DIPOLE_SHARE,
     Making,
     ModelName,
-    Truth,
     has_table,
     shipped_table,
-    table_of_medium,
     tabulated,
     truth_of,
 )
-from bssrdf.fit.neighbours import bias, refitted, sensitivities, table_error, to_log
+from bssrdf.fit.neighbours import bias, dipole_on_light, refitted, sensitivities, table_error, to_log
 from bssrdf.fit.terms import Constraint
 from bssrdf.fit.verdict import FEWEST, POOR_CHI2, Extra, channel_fits, covariances, inflation, needs_profile
 from bssrdf.session.records import ChannelFit, Slice
-from bssrdf.transport.light import Light, Table, coefficients, dipole
+from bssrdf.transport.light import Light, Table, coefficients
 from bssrdf.transport.table_cache import Policy
 
 OTHER_G = (0.0, 0.35, 0.6, 0.8, 0.9)
@@ -112,31 +111,34 @@ def _fit_jobs(jobs: Sequence[Job], options: FitOptions, making: Making) -> list[
 
 def batches(jobs: Sequence[Job], options: FitOptions, making: Making) -> Iterator[tuple[list[int], Fitted]]:
     """Batches with the places of their jobs, by the model asked for; with auto the dipole where it will do."""
-    for places in groups_of(jobs, options.of_problem):
+    for places, many in groups_of(jobs, options.of_problem):
         members, piece = [jobs[at] for at in places], jobs[places[0]].pieces[0]
-        if options.model != "auto":
-            yield places, fit_group(members, options.of_problem, options.model, making)
+        name = options.model
+        if name == "auto":
+            name = "mc" if has_table(piece.eta, piece.g, options.tables) else "dipole"
+        fitted = fit_group(members, options.of_problem, name, making, compile_it=many)
+        simple = np.flatnonzero(_dipole_will_do(fitted)) if options.model == "auto" and name == "mc" else np.array([])
+        if not simple.size:
+            yield places, fitted
             continue
-        first = fit_group(members, options.of_problem, "dipole", making)
-        keep = np.ones(len(places), bool)
-        if has_table(piece.eta, piece.g, options.tables):
-            keep = _dipole_will_do(first, making)
-        if keep.any():
-            yield [at for at, kept in zip(places, keep, strict=True) if kept], _subset(first, np.flatnonzero(keep))
-        rest = np.flatnonzero(~keep)
+        rest = np.setdiff1d(np.arange(len(places)), simple)
         if rest.size:
-            again = fit_group([members[row] for row in rest], options.of_problem, "mc", making)
-            yield [places[row] for row in rest], again
+            yield [places[row] for row in rest], _subset(fitted, rest)
+        again = fit_group([members[row] for row in simple], options.of_problem, "dipole", making, compile_it=many)
+        yield [places[row] for row in simple], again
 
 
-def _dipole_will_do(fitted: Fitted, making: Making) -> np.ndarray:
-    """The rule of `models.RULE`."""
-    piece = fitted.jobs[0].pieces[0]
-    table = table_of_medium(piece.eta, piece.g, fitted.options.tables, making)
-    error = bias(fitted.plan, Truth(dipole(piece.eta), table, own=True), fitted.data, fitted.found).error
+def _dipole_will_do(fitted: Fitted) -> np.ndarray:
+    """The rule of `models.RULE`: whether the dipole, fitted to the table's light, finds its medium."""
+    assert isinstance(fitted.model, Table)
     turn = to_log(fitted.found.point.q)
     sd = np.sqrt(np.maximum(np.einsum("bij,bjk,bik->bi", turn, covariances(fitted), turn), 0.0))
-    good: np.ndarray = (error < DIPOLE_SHARE * sd).all(axis=1) & fitted.found.converged
+    good = fitted.found.converged & (sd > DIPOLE_BEST).all(axis=1)
+    rows = np.flatnonzero(good)
+    if rows.size:
+        part = _subset(fitted, rows)
+        error = dipole_on_light(part.plan, part.model, part.data, part.found.point)
+        good[rows] = (error < DIPOLE_SHARE * sd[rows]).all(axis=1)
     return good
 
 

@@ -36,6 +36,8 @@ LAYS = 8
 """Times that exit law, spot and responses are worked out anew; two or three suffice but for dark media."""
 REST = 1e-8
 """In the parameters, of order 1: below this neither point nor weights move."""
+NEAR = 1e-4
+"""What spot and camera do, to first order about where it was worked out, is right to 1e-7 within this."""
 ROUGH = 1e-3
 SLACK = 1e-6
 """By how much of itself the cost may rise on a step: responses and weights follow the model, so that rest, where the
@@ -48,8 +50,10 @@ VALLEYS = 4
 """Ranges of albedo in which a curve is looked for, each for itself: shape alone has a second minimum at another."""
 ABOUT = (1.0, 0.6, 1.5)
 """Factors on the q of R from which a fit with R starts: very dark media have two fixed points."""
-LOG_EXTENT = np.linspace(np.log(0.3), np.log(1000.0), 48)
+LOG_EXTENT = np.linspace(np.log(0.3), np.log(1000.0), 24)
 """ln of (largest radius in mean free paths), tried for each curve."""
+SCANNED = 3
+"""Of the few radii of a start every third is scanned."""
 LOST = 3.0
 """Misfit, in ln, of a radius that a start puts beyond the model's reach."""
 
@@ -89,35 +93,40 @@ class _State(NamedTuple):
     done: Any
 
 
-def starts(e: Engine, plan: Plan, model: Light, data: Problem) -> list[tuple[Point, Any]]:
-    """Rough optima from several places with their misfits (b,): inf where it lost its radii."""
+def start(e: Engine, plan: Plan, model: Light, data: Problem, number: int) -> tuple[Point, Any]:
+    """The rough optimum from one of several places, and its misfit (b,): inf where it lost its radii."""
     few, plain = _few_of(e, plan, data)
     if plan.constraint == "none":
-        candidates = [[0 * data.curves[0].spot_radius + q for q in part] for part in Q_GRID.reshape(VALLEYS, -1)]
+        zero = 0 * data.curves[0].spot_radius
+        qs = [zero + q for q in Q_GRID.reshape(VALLEYS, -1)[number]]
     else:
         q = q_of_total(e, model, e.xp.minimum(data.totals[0].r, 1.0))
-        candidates = [[e.xp.clip(q * factor, 1e-6, model.q_max)] for factor in ABOUT]
-    found = []
-    for each in candidates:
-        begun = _scanned(e, model, few, each, plan.scale_free)
-        laid = lay_plainly(e, plain, few, begun)
-        ended = optimise(e, plain, model, few, laid, begun, ROUGH, relay=True, most=START_STEPS)
-        finite = e.xp.isfinite(sum(ended.point))
-        point = Point(*(e.xp.where(finite, new, old) for new, old in zip(ended.point, begun, strict=True)))
-        found.append((point, _misfit(e, plain, model, few, point)))
-    return found
+        qs = [e.xp.clip(q * ABOUT[number], 1e-6, model.q_max)]
+    begun = _scanned(e, model, few, qs, plan.scale_free)
+    laid = lay_plainly(e, plain, few, begun)
+    ended = optimise(e, plain, model, few, laid, begun, ROUGH, relay=True, most=START_STEPS)
+    finite = e.xp.isfinite(sum(ended.point))
+    point = Point(*(e.xp.where(finite, new, old) for new, old in zip(ended.point, begun, strict=True)))
+    return point, _misfit(e, plain, model, few, point)
+
+
+def starts_of(plan: Plan) -> tuple[tuple[int, ...], tuple[int, ...]]:
+    """Numbers of the starts that every problem takes, and of those for the doubtful."""
+    return (tuple(range(VALLEYS)), ()) if plan.constraint == "none" else ((0,), tuple(range(1, len(ABOUT))))
 
 
 def settle(e: Engine, plan: Plan, model: Light, data: Problem, begin: Point, beside: Neighbours) -> Solution:
     """The optimum near `begin`, at rest."""
     xp = e.xp
+    costly = any(sight.blurred or sight.camera for sight in plan.sights)
+    near = NEAR if costly else 10 * REST
 
     def again(state: tuple[Solution, Any, Any]) -> tuple[Solution, Any, Any]:
         last, number, _ = state
         laid = lay(e, plan, model, data, last.point, beside)
         found = optimise(e, plan, model, data, laid, last.point, REST, relay=True, shared=last.shared)
         moved = xp.max(xp.abs(xp.concatenate(found.point, axis=1) - xp.concatenate(last.point, axis=1)), axis=1)
-        return found, number + 1, moved > 10 * REST
+        return found, number + 1, moved > near
 
     first = optimise(e, plan, model, data, lay(e, plan, model, data, begin, beside), begin, ROUGH, relay=True)
     found, _, moving = e.loop(lambda s: s[2] & (s[1] < LAYS), again, (first, xp.asarray(0), first.cost < np.inf))
@@ -286,9 +295,9 @@ def _few_of(e: Engine, plan: Plan, data: Problem) -> tuple[Problem, Plan]:
 def _scanned(e: Engine, model: Light, few: Problem, qs: list[Any], scale_free: bool) -> Point:
     """The scale of a grid whose curve of one of these q is nearest, in the logarithm."""
     xp = e.xp
-    r = xp.concatenate([c.few_r for c in few.curves], axis=1)
-    rd = xp.concatenate([c.few_rd for c in few.curves], axis=1)
-    good = xp.concatenate([c.few_known for c in few.curves], axis=1) * (rd > 0) > 0
+    r = xp.concatenate([c.few_r[:, ::SCANNED] for c in few.curves], axis=1)
+    rd = xp.concatenate([c.few_rd[:, ::SCANNED] for c in few.curves], axis=1)
+    good = xp.concatenate([c.few_known[:, ::SCANNED] for c in few.curves], axis=1) * (rd > 0) > 0
     weight = good / xp.maximum(good.sum(1, keepdims=True), 1)
     log_rd = xp.log(xp.where(good, rd, 1.0))
     b, n = r.shape

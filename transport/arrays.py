@@ -66,7 +66,7 @@ class JaxEngine:
 
     def take(self, rows: Any, cell: Any) -> tuple[Any, ...]:
         b, k, n = rows.shape
-        flat = rows.reshape(-1)
+        flat = self.xp.asarray(rows).reshape(-1)
         at = cell + (k * n * self.xp.arange(b, dtype=cell.dtype))[:, None]
         return tuple(flat.at[at + i * n].get(mode="promise_in_bounds") for i in range(k))
 
