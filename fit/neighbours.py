@@ -75,7 +75,7 @@ class Bias(NamedTuple):
     """What the dipole makes of a table's light of the medium it found."""
 
     error: Floats
-    """(b, 2), relative, in (σa, σs′)."""
+    """(b, 2): how far the true (σa, σs′) lie from those found, relative to those."""
     pull: Floats
     """(b,): of R, and how far the curve departs, on that light: no data could do better."""
     drift: Floats
@@ -85,7 +85,8 @@ def bias(plan: Plan, truth: Truth, data: Problem, found: Solution) -> Bias:
     """At the medium found and then at that less its bias; how far the bias moves between the two is added."""
     first, on_first = _bias_at(plan, truth, data, found, found.point)
     again, on_again = _bias_at(plan, truth, data, found, _less(found.point, first))
-    error = np.where(np.isfinite(again), np.abs(again) + np.abs(again - first), np.abs(first))
+    off_first, off_again = (1 / np.maximum(1 + each, LEAST_RATIO) - 1 for each in (first, again))
+    error = np.where(np.isfinite(again), np.abs(off_again) + np.abs(off_again - off_first), np.abs(off_first))
     pull = np.fmax(np.abs(on_first.pull), np.abs(on_again.pull))
     return Bias(error, pull, np.fmax(on_first.drift, on_again.drift))
 

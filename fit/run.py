@@ -24,7 +24,7 @@ from bssrdf.fit.models import (
 )
 from bssrdf.fit.neighbours import bias, dipole_on_light, refitted, sensitivities, table_error, to_log
 from bssrdf.fit.terms import Constraint
-from bssrdf.fit.verdict import FEWEST, POOR_CHI2, Extra, channel_fits, covariances, inflation, needs_profile
+from bssrdf.fit.verdict import FEWEST, Extra, channel_fits, covariances, inflation, needs_profile
 from bssrdf.session.records import ChannelFit, Slice
 from bssrdf.transport.light import Light, Table, coefficients
 from bssrdf.transport.table_cache import Policy
@@ -32,6 +32,8 @@ from bssrdf.transport.table_cache import Policy
 OTHER_G = (0.0, 0.35, 0.6, 0.8, 0.9)
 ETA_AWAY = 0.1
 """Tried where a curve does not fit: does another g or η?"""
+SURELY_POOR = 4.0
+"""Standard deviations of χ² from which on others are tried."""
 MUCH_BETTER = 0.5
 """Of χ²: below this share another g or η is more likely than the one given."""
 
@@ -193,7 +195,8 @@ def _slopes(fitted: Fitted) -> list[dict[str, float]]:
 def _others(fitted: Fitted) -> list[tuple[str, ...]]:
     """Flags of rows whose curve does not fit here and far better under another g or η, with other coefficients."""
     raised: list[tuple[str, ...]] = [() for _ in fitted.jobs]
-    poor = np.flatnonzero((fitted.judged.chi2 > POOR_CHI2) & fitted.found.converged)
+    excess = (fitted.judged.chi2 - 1) * np.sqrt(fitted.judged.n / 2)
+    poor = np.flatnonzero((excess > SURELY_POOR) & fitted.found.converged)
     piece = fitted.jobs[0].pieces[0]
     if not poor.size or fitted.model.name != "mc":
         return raised

@@ -253,6 +253,8 @@ def _moved(
         q_move = (lift[:, 1] * every).sum(1, keepdims=True) + shift[:, 1:2]
         q_move = xp.clip(q_move, -0.5, 0.5)
     q = xp.clip(at.q + q_move, -model.q_max, model.q_max)
+    if not plan.totals:
+        q = xp.abs(q)  # a curve alone is even in q
     return Point(at.log_sigma + full[:, 0:1], q, at.log_scale + full[:, 2:3])
 
 
