@@ -24,7 +24,7 @@ def settled(plan: Plan, model: Light, data: Problem, aside: Neighbours, rows: in
     extra = rows - data.curves[0].r_lo.shape[0]
     arrays = (data.curves, data.totals, data.sds)
     padded = jax.tree.map(lambda x: np.concatenate([x, np.repeat(x[-1:], extra, axis=0)]) if extra else x, arrays)
-    with jax.enable_x64(True):
+    with jax.enable_x64(True), jax.numpy_rank_promotion("allow"):
         found: Solution = jax.tree.map(np.asarray, run(padded, dict(aside)))
     return jax.tree.map(lambda x: x[: rows - extra] if x.ndim else x, found)
 

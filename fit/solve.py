@@ -37,12 +37,16 @@ LAYS = 8
 REST = 1e-8
 """In the parameters, of order 1: below this neither point nor weights move."""
 NEAR = 1e-4
-"""What spot and camera do, to first order about where it was worked out, is right to 1e-7 within this."""
+"""What spot and camera do, to first order about where it was worked out, is right to 1e-7 within this; and no step so
+short is refused, since the weights that follow it may cost more than it gains."""
 ROUGH = 1e-3
 SLACK = 1e-6
 """By how much of itself the cost may rise on a step: responses and weights follow the model, so that rest, where the
 equations hold, lies a little beside the least cost."""
 TINY_MOVE = 1e-30
+LEAST_Q_STEP, PAST_ZERO = 4.0, 1e-3
+"""q falls by no more than this factor a step, until it is next to 0: below 0, where R counts beyond 1, another optimum
+waits for long steps from afar."""
 LONGEST_STEP = 1.0
 """No step changes a scale by more than a factor e."""
 Q_GRID = np.geomspace(0.03, 1.6, 16)
@@ -125,8 +129,7 @@ def settle(e: Engine, plan: Plan, model: Light, data: Problem, begin: Point, bes
         last, number, _ = state
         laid = lay(e, plan, model, data, last.point, beside)
         found = optimise(e, plan, model, data, laid, last.point, REST, relay=True, shared=last.shared)
-        moved = xp.max(xp.abs(xp.concatenate(found.point, axis=1) - xp.concatenate(last.point, axis=1)), axis=1)
-        return found, number + 1, moved > near
+        return found, number + 1, _distance(xp, found.point, last.point) > near
 
     first = optimise(e, plan, model, data, lay(e, plan, model, data, begin, beside), begin, ROUGH, relay=True)
     found, _, moving = e.loop(lambda s: s[2] & (s[1] < LAYS), again, (first, xp.asarray(0), first.cost < np.inf))
@@ -167,6 +170,7 @@ def optimise(
     def step(s: _State) -> _State:
         looks = look(s.trial)
         better = reduced(s.trial, looks, s.weights).cost <= s.here.cost + SLACK * (1 + s.here.cost)
+        better = better | (xp.isfinite(s.here.cost) & (_distance(xp, s.trial, s.best) < NEAR))
         by = s.weights
         if relay:
             by = _chosen(xp, better, weighed(s.trial, looks, s.here.shared), s.weights)
@@ -177,7 +181,7 @@ def optimise(
         move = move * xp.minimum(1.0, LONGEST_STEP / xp.maximum(xp.abs(move).max(1), TINY_MOVE))[:, None]
         errors = here.shared - xp.matmul(here.answer, move[:, :, None])[:, :, 0]
         trial = _moved(e, plan, model, data, laid, best, move, errors, columns)
-        longest = xp.max(xp.abs(xp.concatenate(trial, axis=1) - xp.concatenate(best, axis=1)), axis=1)
+        longest = _distance(xp, trial, best)
         done = (better & (longest < settled)) | (damping > 1e12) | ~xp.isfinite(here.cost)
         stepped = _State(trial, best, here, by, damping, s.steps + 1, done)
         return _State(*(_chosen(xp, s.done, o, n) for o, n in zip(s, stepped, strict=True)))
@@ -253,6 +257,7 @@ def _moved(
         q_move = (lift[:, 1] * every).sum(1, keepdims=True) + shift[:, 1:2]
         q_move = xp.clip(q_move, -0.5, 0.5)
     q = xp.clip(at.q + q_move, -model.q_max, model.q_max)
+    q = xp.where(at.q > 0, xp.maximum(q, at.q / LEAST_Q_STEP - PAST_ZERO), q)
     if not plan.totals:
         q = xp.abs(q)  # a curve alone is even in q
     return Point(at.log_sigma + full[:, 0:1], q, at.log_scale + full[:, 2:3])
@@ -267,6 +272,11 @@ def solve_damped(xp: Any, curvature: Any, gradient: Any, damping: Any) -> Any:
     h = xp.where(xp.eye(p) > 0, xp.maximum(h, 1e-14), h)
     g = xp.where(xp.isfinite(gradient), gradient, 0.0) / scale
     return xp.linalg.solve(h, g[:, :, None])[:, :, 0] / scale
+
+
+def _distance(xp: Any, a: Point, b: Point) -> Any:
+    """Largest difference in any parameter, (b,)."""
+    return xp.max(xp.abs(xp.concatenate(a, axis=1) - xp.concatenate(b, axis=1)), axis=1)
 
 
 def _free(plan: Plan, held_q: bool) -> tuple[int, ...]:

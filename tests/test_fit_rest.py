@@ -1,0 +1,142 @@
+"""Where a fit rests and how it is judged: by either engine, from any start, in any batch, and as jaxopt does."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from bssrdf.bench.trial_light import shipped
+from bssrdf.bench.trials import Drawn, slices_of
+from bssrdf.fit.batch import BATCH, Fitted, Job, Options, fit_group, picked
+from bssrdf.fit.compiled import settled
+from bssrdf.fit.models import Making
+from bssrdf.fit.neighbours import refitted, table_error
+from bssrdf.fit.run import FitOptions, fit_slices
+from bssrdf.fit.solve import settle
+from bssrdf.fit.terms import Point, Weights
+from bssrdf.rig.sim.light import SampleMedium, seen_light
+from bssrdf.session.records import ChannelSlice, Slice
+from bssrdf.transport.arrays import NUMPY
+from bssrdf.transport.dipole import Medium, rd, total_r
+from bssrdf.transport.light import Table, coefficients
+from bssrdf.transport.table_grid import R_ZERO, V_MAX
+
+PLAIN = Options("soft", scale_free=False, robust=False, window_mm=None, tables="shipped")
+
+
+def trial(name: str = "Skin1 G", seed: int = 1) -> Slice:
+    (piece,) = slices_of(shipped()[name], 1, 0.01, seed, Drawn(scale=0.01, length=0.002))
+    return piece
+
+
+def seen(sigma_a: float, sigma_sp: float) -> Slice:
+    """The bench's light of a medium as a camera at 45° sees it across the view; the spot is half a mean free path."""
+    light = seen_light(SampleMedium(sigma_a, sigma_sp, 1.3), 45.0, photons=1, seed=1)
+    assert light.harmonics is not None
+    edges, across = light.r_edges_mm, 1 + np.cos(np.arange(1, 13) * np.pi / 2) @ light.harmonics
+    used = (edges[:-1] * (sigma_a + sigma_sp) > 0.7) & (light.beyond[1:] > 1e-4 * light.total)
+    lo, hi = edges[:-1][used], edges[1:][used]
+    curve = (-np.diff(light.beyond) * across)[used] / (np.pi * (hi**2 - lo**2))
+    return Slice(
+        channels={"G": ChannelSlice((lo + hi) / 2, curve, 0.01 * curve, lo, hi)},
+        eta=1.3,
+        flux="incident",
+        exit="fresnel",
+        g=0.0,
+        spot_radius_mm=0.5 / (sigma_a + sigma_sp),
+        spot_radius_sd_mm=0.01,
+        total_r={"G": light.total},
+        total_r_sd={"G": 0.002 * light.total},
+        scale_rel_sd=0.005,
+        mm_rel_sd=0.002,
+    )
+
+
+def fitted(pieces: Sequence[Slice], model: str = "mc", options: Options = PLAIN) -> Fitted:
+    return fit_group([Job((piece,), "G") for piece in pieces], options, model, Making())  # type: ignore[arg-type]
+
+
+def test_jax_and_numpy_run_the_same_fit() -> None:
+    ours = fitted([trial(seed=seed) for seed in range(3)])
+    theirs = settled(ours.plan, ours.model, ours.data, ours.beside, BATCH)
+    for a, b in zip(ours.found.point, theirs.point, strict=True):
+        np.testing.assert_allclose(a, b, atol=1e-9)
+    np.testing.assert_allclose(ours.found.cost, theirs.cost, rtol=1e-9)
+
+
+@pytest.mark.parametrize(("sigma_a", "sigma_sp"), [(0.0024, 3.21), (0.17, 0.88), (0.97, 0.07)])
+def test_a_camera_s_slice_rests_at_one_place_from_twenty_starts(sigma_a: float, sigma_sp: float) -> None:
+    one = fitted([seen(sigma_a, sigma_sp)])
+    rng = np.random.default_rng(4)
+    rows = np.zeros(20, int)
+    here = one.found.point
+    begin = Point(
+        here.log_sigma[rows] + rng.uniform(-0.4, 0.4, (20, 1)),
+        np.minimum(here.q[rows] * np.exp(rng.uniform(-0.4, 0.4, (20, 1))), 1.7),
+        here.log_scale[rows],
+    )
+    ended = settle(NUMPY, one.plan, one.model, picked(one.data, rows), begin, one.beside)
+    sd = np.sqrt(np.diag(sum(one.judged.sources.values())[0]))
+    assert ended.converged.all()
+    assert np.abs(ended.point.log_sigma - here.log_sigma[0]).max() < 1e-3 * sd[0]
+    assert np.abs(ended.point.q - here.q[0]).max() < 1e-3 * sd[1]
+
+
+def test_jaxopt_finds_the_same_optimum_of_the_same_objective(x64: None) -> None:
+    """The dipole with R and an error of scale that curve and R share, in the weights in which our fit rests."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)
+        from jaxopt import LevenbergMarquardt
+    one = fitted([slices_of(shipped()["Skin1 G"], 1, 0.01, 3, Drawn(scale=0.01))[0]], "dipole")
+    weights, (data,), (total,) = one.found.weights, one.data.curves, one.data.totals
+    t, w = np.polynomial.legendre.leggauss(8)
+    lo, hi = data.r_lo[0][:, None], data.r_hi[0][:, None]
+    nodes = (lo + hi) / 2 + (hi - lo) / 2 * t[None]
+
+    def rest(x: jax.Array) -> jax.Array:
+        medium = Medium(*(jnp.exp(x[0]) * each for each in (x[1] ** 2 / 3, 1 - x[1] ** 2 / 3)), 1.3)
+        light = (rd(medium, nodes) * nodes * w[None]).sum(1) / (nodes * w[None]).sum(1)
+        curve = jnp.sqrt(weights.mass[0][0]) * (weights.mean[0][0] - light * (1 + 0.01 * x[2]))
+        gap = (total.r[0, 0] - total_r(medium) * (1 + 0.01 * x[2])) / total.sd[0, 0]
+        return jnp.concatenate([curve, jnp.stack([gap, x[2]])])
+
+    x = jnp.asarray([float(one.found.point.log_sigma[0, 0]) + 0.1, 0.6, 0.0])
+    found = LevenbergMarquardt(rest, maxiter=100, xtol=1e-12, gtol=1e-12, materialize_jac=True).run(x).params
+    sigma_a, sigma_sp = (float(each[0, 0]) for each in coefficients(one.found.point.log_sigma, one.found.point.q))
+    theirs = coefficients(np.asarray(found[0]), np.asarray(found[1]))
+    assert theirs == pytest.approx((sigma_a, sigma_sp), rel=1e-5)
+
+
+def test_a_table_s_model_error_is_the_spread_of_fits_to_its_noise() -> None:
+    one = fitted([trial("Wholemilk R")])
+    assert isinstance(one.model, Table)
+    stated = table_error(one.plan, one.model, one.data, one.found, one.judged)[0]
+    rng = np.random.default_rng(0)
+    rows = np.zeros(300, int)
+    (curves,), knots = one.data.curves, one.model.log_curve_sd.shape[1]
+    edges = R_ZERO * np.expm1(np.linspace(0, 1, knots) * V_MAX)
+    sd = one.model.shape_sd(NUMPY, one.found.point.q, edges[None])[0]
+    x = np.exp(one.found.point.log_sigma) * (curves.r_lo + curves.r_hi) / 2
+    at = np.log1p(x[0] / R_ZERO) / V_MAX * (knots - 1)
+    waves = np.stack([np.interp(at, np.arange(knots), sd * rng.standard_normal(knots)) for _ in rows])
+    many = picked(one.found, rows)
+    weights = Weights(many.weights.mass, (many.weights.mean[0] + one.judged.values[0] * waves,))
+    ended = refitted(one.plan, one.model, picked(one.data, rows), many, weights)
+    ours = np.concatenate(coefficients(one.found.point.log_sigma, one.found.point.q), axis=1)
+    spread = np.std(np.concatenate(coefficients(ended.point.log_sigma, ended.point.q), axis=1) / ours, axis=0)
+    np.testing.assert_allclose(spread, stated, rtol=0.1)  # 300 draws know a spread to 4 %
+
+
+def test_a_fit_is_the_same_alone_and_in_any_batch() -> None:
+    pieces = [trial(name, seed) for seed, name in enumerate(("Skin1 G", "Skin2 G", "Chicken1 R", "Potato G"))]
+    together = fit_slices(pieces, FitOptions(model="mc"))
+    for piece, among in zip(pieces, together, strict=True):
+        (alone,) = fit_slices([piece], FitOptions(model="mc"))
+        for key in ("sigma_a_per_mm", "sigma_sp_per_mm", "sigma_a_sd_per_mm"):
+            assert getattr(among["G"], key) == pytest.approx(getattr(alone["G"], key), rel=1e-7)
+        assert among["G"].model_error["sigma_a"] == pytest.approx(alone["G"].model_error["sigma_a"], rel=1e-6)
