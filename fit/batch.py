@@ -13,11 +13,12 @@ from bssrdf.errors import InputError
 from bssrdf.fit.compiled import FROM, settled
 from bssrdf.fit.errors import Judged, judge
 from bssrdf.fit.layout import Curves, Row, Total, camera_factor, row_of, sight_of, stack
-from bssrdf.fit.models import Making, beside, table_of_medium
+from bssrdf.fit.models import Making, beam_of, beside, table_of_medium
 from bssrdf.fit.solve import Solution, settle, start, starts_of
 from bssrdf.fit.terms import EXIT_MODES, TABLE_MODES, Constraint, Neighbours, Plan, Point, Problem, Sds, Shared, Source
 from bssrdf.session.records import Slice
 from bssrdf.transport.arrays import NUMPY
+from bssrdf.transport.incidence import NORMAL
 from bssrdf.transport.light import Light, dipole
 from bssrdf.transport.table_cache import Policy
 
@@ -142,8 +143,8 @@ def fit_group(
 ) -> Fitted:
     """Fit jobs of one key, at most BATCH, by one model; with `compile_it` by JAX, which pays for many batches."""
     piece = jobs[0].pieces[0]
-    model = dipole(piece.eta) if name == "dipole" else table_of_medium(piece.eta, piece.g, options.tables, making)
-    aside = beside(name, piece.eta, piece.g)
+    model = dipole(piece.eta) if name == "dipole" else table_of_medium(piece, options.tables, making)
+    aside = beside(name, piece.eta, piece.g) if beam_of(piece) == NORMAL else {}
     rows = [tuple(row_of(piece, job.channel, options.window_mm) for piece in job.pieces) for job in jobs]
     plan, data = problem_of(jobs, rows, options, model, aside)
     found, rival = _best(plan, model, data, aside, compile_it=compile_it)

@@ -13,9 +13,7 @@ MEANING = {
     "g_clamped": "g lies beyond the tables' 0.95: that of 0.95 was taken, which costs 0.2 % at g 0.97.",
     "g_fitted": "g was fitted to the curve as well.",
     "g_suspect": "The curve fits another g at less than half the χ², with other coefficients: rejected.",
-    "incidence_oblique": (
-        "The beam falls in at 10° or more from the normal: the model takes it as it runs on inside from the normal."
-    ),
+    "incidence_oblique": ("The beam falls in at 10° or more from the normal, and the dipole takes it as normal."),
     "joint": "Several slices were fitted together; the flags of each stand here too.",
     "light_lost": "Over 5 % of the light fell outside the frame: R rests on an estimate.",
     "narrow_sample": "The sample reaches less than 3/σtr from the beam: light leaves by its sides, σa is too high.",

@@ -7,6 +7,8 @@ from functools import lru_cache
 from typing import Literal, NamedTuple
 
 from bssrdf.errors import InputError
+from bssrdf.session.records import Slice
+from bssrdf.transport.incidence import NORMAL, Incidence
 from bssrdf.transport.light import Dipole, Light, Table, dipole, table_of
 from bssrdf.transport.parallel import Progress
 from bssrdf.transport.table_cache import Policy, allowed, nearest, place, shipped, table_model
@@ -16,9 +18,14 @@ ASSUMED_G = 0.0
 """Taken where a slice does not say g; the fit is flagged, since R depends on g at equal σs′."""
 G_STEP = 0.05
 ETA_STEP = 0.01
+OBLIQUE_DEG = 10.0
+"""Of the beam to the normal: from here on light enters aside of where a normal beam's does."""
 DIPOLE_SHARE = 0.3
 """Of the statistical sd: a dipole whose model error is below adds at most 4 % to an interval's true width."""
 
+COARSE_ERROR, COARSE_FACTOR = 0.006, 3.0
+"""Of the tables that ship for unusual media: interpolated between few, they lie 0.2 to 0.7 % off fine ones at 1 to 5 mean
+free paths and 1 to 2 % at 18, three times what their own noise says."""
 DIPOLE_BEST = 0.005
 """Relative sd of both coefficients below which nobody need ask: no dipole is right to 0.3 of that."""
 
@@ -45,21 +52,28 @@ class Truth(NamedTuple):
     """Whether it is that of the medium, and not of the nearest."""
 
 
-def table_of_medium(eta: float, g: float | None, policy: Policy, making: Making) -> Table:
-    """The table of (η, g), g drawn into the range of tables; raises InputError where the policy forbids it."""
-    found = place(eta, ASSUMED_G if g is None else g)
+def beam_of(piece: Slice) -> Incidence:
+    """How the beam fell in: near the normal as along it; else a slice across the view is one across its plane too."""
+    if piece.incidence_deg < OBLIQUE_DEG:
+        return NORMAL
+    return Incidence(piece.incidence_deg, across=piece.exit == "fresnel" and piece.azimuth == "perpendicular")
+
+
+def table_of_medium(piece: Slice, policy: Policy, making: Making) -> Table:
+    """The table of the slice's medium and beam, g drawn into range; raises InputError where the policy forbids it."""
+    found = place(piece.eta, ASSUMED_G if piece.g is None else piece.g, beam=beam_of(piece))
     if not allowed(found, policy):
         raise InputError(
-            f"eta = {eta:g}, g = {found.g:g}: no Monte Carlo table is at hand; --tables make makes one in about "
+            f"eta = {piece.eta:g}, g = {found.g:g}: no Monte Carlo table is at hand; --tables make makes one in about "
             f"{found.seconds:.0f} s, or take --model dipole"
         )
-    return _table(found.eta, found.g, making)
+    return _table(found.eta, found.g, making, beam_of(piece))
 
 
-def has_table(eta: float, g: float | None, policy: Policy) -> bool:
-    """Whether the policy gives this medium a table."""
+def has_table(piece: Slice, policy: Policy) -> bool:
+    """Whether the policy gives this medium and beam a table."""
     try:
-        return allowed(place(eta, ASSUMED_G if g is None else g), policy)
+        return allowed(place(piece.eta, ASSUMED_G if piece.g is None else piece.g, beam=beam_of(piece)), policy)
     except InputError:
         return False
 
@@ -69,21 +83,25 @@ def is_clamped(g: float | None) -> bool:
     return g is not None and place(1.4, g).g_clamped
 
 
-def truth_of(eta: float, g: float | None, policy: Policy, making: Making) -> Truth | None:
+def truth_of(piece: Slice, policy: Policy, making: Making) -> Truth | None:
     """The medium's own table where it is at hand, else the nearest; None where that lies too far off.
 
     None is made: whoever wants the dipole alone need not wait for a table.
     """
     at_hand: Policy = "shipped" if policy == "shipped" else "cached"
-    if has_table(eta, g, at_hand):
-        return Truth(dipole(eta), table_of_medium(eta, g, at_hand, making), own=True)
-    other = nearest(eta, ASSUMED_G if g is None else g, policy=at_hand)
+    if has_table(piece, at_hand):
+        return Truth(dipole(piece.eta), table_of_medium(piece, at_hand, making), own=True)
+    other = nearest(piece.eta, ASSUMED_G if piece.g is None else piece.g, policy=at_hand)
     return Truth(dipole(other.eta), _table(other.eta, other.g, Making()), own=False) if other.near else None
 
 
 @lru_cache(maxsize=64)
-def _table(eta: float, g: float, making: Making) -> Table:
-    return table_of(table_model(eta, g, announce=making.announce, progress=making.progress))
+def _table(eta: float, g: float, making: Making, beam: Incidence = NORMAL) -> Table:
+    table = table_of(table_model(eta, g, beam=beam, announce=making.announce, progress=making.progress))
+    coarse = place(eta, g, beam=beam).origin == "shipped" and not tabulated(eta, g)
+    if not coarse:
+        return table
+    return table._replace(relative_error=COARSE_ERROR, log_curve_sd=COARSE_FACTOR * table.log_curve_sd)
 
 
 @lru_cache(maxsize=64)

@@ -17,6 +17,7 @@ from bssrdf.fit.models import (
     DIPOLE_SHARE,
     Making,
     ModelName,
+    beam_of,
     has_table,
     shipped_table,
     tabulated,
@@ -26,6 +27,7 @@ from bssrdf.fit.neighbours import bias, dipole_on_light, refitted, sensitivities
 from bssrdf.fit.terms import Constraint
 from bssrdf.fit.verdict import FEWEST, Extra, channel_fits, covariances, inflation, needs_profile
 from bssrdf.session.records import ChannelFit, Slice
+from bssrdf.transport.incidence import NORMAL
 from bssrdf.transport.light import Light, Table, coefficients
 from bssrdf.transport.table_cache import Policy
 
@@ -117,7 +119,7 @@ def batches(jobs: Sequence[Job], options: FitOptions, making: Making) -> Iterato
         members, piece = [jobs[at] for at in places], jobs[places[0]].pieces[0]
         name = options.model
         if name == "auto":
-            name = "mc" if has_table(piece.eta, piece.g, options.tables) else "dipole"
+            name = "mc" if has_table(piece, options.tables) else "dipole"
         fitted = fit_group(members, options.of_problem, name, making, compile_it=many)
         simple = np.flatnonzero(_dipole_will_do(fitted)) if options.model == "auto" and name == "mc" else np.array([])
         if not simple.size:
@@ -165,7 +167,7 @@ def extra_of(fitted: Fitted, making: Making) -> Extra:
         error = table_error(fitted.plan, fitted.model, fitted.data, fitted.found, fitted.judged)
         return extra._replace(model_error=_by_name(error))
     piece = fitted.jobs[0].pieces[0]
-    truth = truth_of(piece.eta, piece.g, fitted.options.tables, making)
+    truth = truth_of(piece, fitted.options.tables, making)
     if truth is None:
         return extra._replace(checked=False)
     found = bias(fitted.plan, truth, fitted.data, fitted.found)
@@ -198,7 +200,7 @@ def _others(fitted: Fitted) -> list[tuple[str, ...]]:
     excess = (fitted.judged.chi2 - 1) * np.sqrt(fitted.judged.n / 2)
     poor = np.flatnonzero((excess > SURELY_POOR) & fitted.found.converged)
     piece = fitted.jobs[0].pieces[0]
-    if not poor.size or fitted.model.name != "mc":
+    if not poor.size or fitted.model.name != "mc" or beam_of(piece) != NORMAL:
         return raised
     part = _subset(fitted, poor)
     g = ASSUMED_G if piece.g is None else piece.g

@@ -116,6 +116,8 @@ def start(e: Engine, plan: Plan, model: Light, data: Problem, number: int) -> tu
 
 def starts_of(plan: Plan) -> tuple[tuple[int, ...], tuple[int, ...]]:
     """Numbers of the starts that every problem takes, and of those for the doubtful."""
+    if plan.constraint == "exact":  # R leaves no choice of q
+        return (0,), ()
     return (tuple(range(VALLEYS)), ()) if plan.constraint == "none" else ((0,), tuple(range(1, len(ABOUT))))
 
 
@@ -131,7 +133,11 @@ def settle(e: Engine, plan: Plan, model: Light, data: Problem, begin: Point, bes
         found = optimise(e, plan, model, data, laid, last.point, REST, relay=True, shared=last.shared)
         return found, number + 1, _distance(xp, found.point, last.point) > near
 
-    first = optimise(e, plan, model, data, lay(e, plan, model, data, begin, beside), begin, ROUGH, relay=True)
+    laid = lay(e, plan, model, data, begin, beside)
+    if plan.constraint == "exact":
+        seen = data.totals[0].r / laid.total_seen[0]
+        begin = begin._replace(q=xp.where(seen < 1, q_of_total(e, model, xp.minimum(seen, 1.0)), begin.q))
+    first = optimise(e, plan, model, data, laid, begin, ROUGH, relay=True)
     found, _, moving = e.loop(lambda s: s[2] & (s[1] < LAYS), again, (first, xp.asarray(0), first.cost < np.inf))
     return found._replace(converged=found.converged & ~moving)
 

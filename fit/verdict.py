@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from bssrdf.fit.batch import Fitted
 from bssrdf.fit.intervals import Profile
 from bssrdf.fit.layout import camera_factor
-from bssrdf.fit.models import is_clamped
+from bssrdf.fit.models import OBLIQUE_DEG, is_clamped
 from bssrdf.fit.neighbours import Bias, to_log
 from bssrdf.session.records import ChannelFit, Slice, Status
 from bssrdf.transport.light import coefficients
@@ -47,8 +47,6 @@ LEAST_LIGHT = 1e-4
 MOST_LIGHT = 2.0
 MUCH_LOST = 0.05
 """Share of the light that fell outside the frame, beyond which its estimate decides R."""
-OBLIQUE_DEG = 10.0
-"""Of the beam to the normal: from here on light enters aside of what the model takes."""
 REJECTING = ("total_inconsistent", "shape_misfit", "g_suspect", "eta_suspect")
 NAMES = {"exit": "exit_law"}
 """Sources by the name that the budget has for them, where it differs."""
@@ -252,7 +250,7 @@ def _flags(fitted: Fitted, extra: Extra, row: int, interval: Interval, rel_sd: f
         "few_radii": count < FEWEST,
         "g_assumed": pieces[0].g is None and not dipole,
         "g_clamped": is_clamped(pieces[0].g) and not dipole,
-        "incidence_oblique": any(p.incidence_deg >= OBLIQUE_DEG for p in pieces),
+        "incidence_oblique": dipole and any(p.incidence_deg >= OBLIQUE_DEG for p in pieces),
         "joint": len(pieces) > 1,
         "light_lost": any((p.lost_fraction or {}).get(job.channel, 0.0) > MUCH_LOST for p in pieces),
         "noise": not rel_sd < VAGUE,
