@@ -24,8 +24,8 @@ DIPOLE_SHARE = 0.3
 """Of the statistical sd: a dipole whose model error is below adds at most 4 % to an interval's true width."""
 
 COARSE_ERROR, COARSE_FACTOR = 0.006, 3.0
-"""Of the tables that ship for unusual media: interpolated between few, they lie 0.2 to 0.7 % off fine ones at 1 to 5 mean
-free paths and 1 to 2 % at 18, three times what their own noise says."""
+"""Of the tables that ship for unusual media: interpolated between few, they lie 0.2 to 0.7 % off fine ones at 1 to 5
+mean free paths and 1 to 2 % at 18, three times what their own noise says."""
 DIPOLE_BEST = 0.005
 """Relative sd of both coefficients below which nobody need ask: no dipole is right to 0.3 of that."""
 

@@ -74,7 +74,8 @@ def format_rows(rows: Sequence[Row], form: Format, note: str = "") -> str:
     if form == "json":
         return json.dumps(list(rows), ensure_ascii=False, indent=1)
     head = list(rows[0])
-    cells = [["" if row[key] is None else str(row[key]) for key in head] for row in rows]
+    nothing = "" if form == "csv" else "–"
+    cells = [[nothing if row[key] is None else str(row[key]) for key in head] for row in rows]
     if form == "csv":
         text = io.StringIO()
         csv.writer(text, lineterminator="\n").writerows([head, *cells])
