@@ -79,6 +79,32 @@ def trials(
 
 
 @bench.command()
+@OUT
+@FORCE
+@click.option("--sessions", type=click.IntRange(1), default=20, show_default=True, help="Of each fault.")
+@click.option("--fault", "faults", multiple=True, help="Only this one; may be given again.")
+@click.option("--material", default="marble", show_default=True, help="What lies under the beam.")
+def frames(out: Path | None, force: bool, sessions: int, faults: tuple[str, ...], material: str) -> None:
+    """Measure sessions with faults of lamp, black, darks and labels: are they refused, or do the intervals hold?"""
+    from bssrdf.bench.frame_faults import FAULTS
+    from bssrdf.bench.frames import run_frames_bench, table
+    from bssrdf.report.progress import steps
+
+    for fault in faults:
+        if fault not in FAULTS:
+            raise UsageError(f"--fault {fault} is not known; choose of {', '.join(FAULTS)}")
+    with steps(quiet=is_quiet()) as progress:
+        found = run_frames_bench(
+            seeds=sessions,
+            faults=faults or tuple(FAULTS),
+            material=material,
+            out=_folder(out, force),
+            progress=progress,
+        )
+    click.echo(table(found))
+
+
+@bench.command()
 @click.option("--out", type=click.Path(path_type=Path), default=Path("bench-transport"), show_default=True)
 @FORCE
 def transport(out: Path, force: bool) -> None:

@@ -93,8 +93,6 @@ def exchanged(frames: list[Shown], rng: np.random.Generator) -> list[Shown]:
 
 
 FAULTS: dict[str, Fault] = {f.__name__: f for f in (good, lamp, flicker, black, darks, stale, exchanged)}
-UNMEASURABLE = ("stale", "exchanged")
-"""A label is wrong by a factor: to be refused, every time."""
 
 
 @lru_cache(maxsize=2)

@@ -130,12 +130,6 @@ def decade_z(found: ChannelSlice, truth: ChannelSlice, scale_rel_sd: float) -> t
     return tuple(out)
 
 
-def held(trials: Sequence[Trial]) -> float:
-    """Share of sessions, refused ones left out, all of whose intervals hold the truth in … of R and the decades."""
-    each = [np.abs(np.concatenate([t.total_z, *t.decade_z])) < Z95 for t in trials if t.refused is None]
-    return float(np.mean(np.concatenate(each))) if each else float("nan")
-
-
 def table(trials: Sequence[Trial]) -> str:
     """A line for each fault, as Markdown."""
     lines = ["| fault | sessions | refused | R held | decades held | R off, median % | stated % | flags |"]

@@ -36,6 +36,7 @@ _LEAK_SD = 10.0
 """Spread of what saturated neighbours add, in units of the read noise."""
 _PARTS = (("lamp",), ("black",), ("black", "colour", "frame", "bend"))
 _BISECTIONS = 40
+_LINEARISATIONS = 2
 _LEAST_VAR, _MOST_VAR = 1e-12, 1.0
 
 
@@ -141,7 +142,10 @@ def solve_frames(
     """
     pairs = _pairs(frames, [c for c in comparisons if not (c.first_beside or c.second_beside)])
     every = _maps(frames, n_colours)
-    solution, maps = _simplest(every, pairs, _first_spreads(frames, every, noise_dn), span_dn)
+    first = _first_spreads(frames, every, noise_dn)
+    solution, maps = _simplest(every, pairs, first, span_dn)
+    for _ in range(_LINEARISATIONS if "black" in maps.names else 0):
+        solution = _solved(maps, _about(pairs, maps.offset @ solution.theta), first, span_dn)
     lamp = _lamp_of_kind(frames, maps, solution)
     offset_var = np.einsum("ncp,pq,ncq->nc", maps.offset, solution.covariance, maps.offset)
     return FrameModel(
@@ -177,6 +181,12 @@ def _pairs(frames: Sequence[Exposed], comparisons: Sequence[Comparison]) -> _Pai
     x, y, var = (np.array([c[at] for c in comparisons], float) for at in range(5, 8))
     log_seconds = np.log([frame.seconds for frame in frames])
     return _Pairs(i, j, colour, x, y, np.log(y / x) - log_seconds[j] + log_seconds[i], var)
+
+
+def _about(pairs: _Pairs, offset: Array) -> _Pairs:
+    """The pairs with the signals about which offsets (frames, colours) are linear to second order."""
+    first, second = offset[pairs.i, pairs.colour] / 2, offset[pairs.j, pairs.colour] / 2
+    return pairs._replace(x=np.maximum(pairs.x - first, pairs.x / 2), y=np.maximum(pairs.y - second, pairs.y / 2))
 
 
 def _maps(frames: Sequence[Exposed], n_colours: int) -> _Maps:

@@ -59,10 +59,12 @@ def pair_gain(shorter: Array, longer: Array, read_var_dn: float) -> Gain | None:
     total = shorter + longer
     order = np.argsort(total)
     inverse_gains, weights = [], []
-    for members in np.array_split(order, _BINS):
+    for members in np.array_split(order, min(_BINS, max(1, len(order) // _PER_BIN))):
         if len(members) < _PER_BIN:
             continue
         a, b = shorter[members], longer[members]
+        if not (a.sum() > 0 and b.sum() > 0):
+            continue
         rho = b.sum() / a.sum()
         shot = clipped_variance(b - rho * a) - (1 + rho**2) * read_var_dn
         scale = rho * float(np.mean(total[members]))

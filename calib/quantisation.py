@@ -15,15 +15,15 @@ _ROUNDING = 1e-6
 
 
 def step_dn(values: NDArray[Any]) -> float:
-    """Step [DN] of frames of one camera; 0 where there is none, 1 where whole numbers do not tell."""
+    """Step [DN] of a frame's values; 0 where there is none, infinite where a frame of one value does not tell."""
     sample = values.reshape(-1)
     sample = sample[:: max(1, sample.size // _MOST_SAMPLES)]
     levels = np.unique(sample)
     if np.issubdtype(levels.dtype, np.integer):
         gaps = np.diff(levels.astype(np.int64))
-        return float(np.gcd.reduce(gaps)) if gaps.size else 1.0
+        return float(np.gcd.reduce(gaps)) if gaps.size else np.inf
     levels = levels[np.isfinite(levels)].astype(float)
-    if levels.size < 2 or levels.size > _CONTINUOUS * sample.size:
+    if levels.size > _CONTINUOUS * sample.size:
         return 0.0
     gaps = np.diff(levels)
-    return float(gaps[gaps > _ROUNDING * np.abs(levels).max()].min(initial=np.inf)) if gaps.any() else 0.0
+    return float(gaps[gaps > _ROUNDING * np.abs(levels).max()].min(initial=np.inf))

@@ -10,6 +10,10 @@ from numpy.typing import NDArray
 
 BEND_PIVOT = 0.5
 """Share of the range at which a bent response is left as it is, so that straightening it changes no scale."""
+_DITHERS = 0.4
+"""Noise in steps from which the mean of rounded values is right to a percent of a step."""
+_RESOLUTION = 1e-7
+"""Of float32, relative: no noise is smaller."""
 
 
 @dataclass(frozen=True)
@@ -36,7 +40,13 @@ class Sensor:
 
     def read_var_dn(self) -> float:
         """Variance [DN²] of one sample without light: read noise and quantisation."""
-        return (self.read_noise_e / self.gain_e_per_dn) ** 2 + self.quantisation_var_dn()
+        least = (_RESOLUTION * self.saturation_dn) ** 2 if np.isfinite(self.saturation_dn) else 0.0
+        return max((self.read_noise_e / self.gain_e_per_dn) ** 2 + self.quantisation_var_dn(), least)
+
+    def hidden_dn(self) -> float:
+        """Signal [DN] up to which rounding may show nothing: half a step where noise does not dither it, else 0."""
+        dithered = self.read_noise_e / self.gain_e_per_dn > _DITHERS * self.step_dn
+        return 0.0 if dithered or self.black_clipped else self.step_dn / 2
 
     def span_dn(self) -> float:
         """From black to saturation, in the colour that clips last."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -12,6 +12,7 @@ from bssrdf.calib.frame_model import Exposures
 from bssrdf.calib.spot import Spot
 from bssrdf.errors import InputError
 from bssrdf.measure.budget import exposure_shares, exposures_rel_sd, speckle_rel_sd
+from bssrdf.measure.flags import MEANING
 from bssrdf.measure.image import Image, beam_on_sample, beam_on_tile, has_second_spot, locate, spot_radius_mm
 from bssrdf.measure.isophotes import Seen, View, look_at_isophotes
 from bssrdf.measure.pixels import channel_names
@@ -21,6 +22,7 @@ from bssrdf.measure.reflectance import (
     channel_slice,
     doubted,
     evident_floor,
+    rounded,
     slice_profiles,
     total_light,
     usual_band_mm,
@@ -38,6 +40,17 @@ _LEAST_BINS = 10
 _CORE_LOW, _CORE_HIGH = 0.9, 1.4
 """The spot on a tile looks as wide as the beam or somewhat wider: within these its own spread need not be fitted."""
 _SPOT_SD, _SPOT_REL = 3.0, 0.2
+_EXPLAIN = (
+    "drift",
+    "exposure_labels_off",
+    "exposure_ratios_disagree",
+    "black_offset",
+    "nonlinear",
+    "saturated",
+    "white_below_stated",
+    "white_unseen",
+)
+"""Flags of causes that can make an R of a white beyond white."""
 _REFLECTANCE_REL_SD = 0.01
 """Of a tile whose certificate is not at hand: batches of sintered PTFE differ by about as much, and age more."""
 _SCALE_REL_SD = 0.005
@@ -54,6 +67,12 @@ class Timing:
     seconds: tuple[float, ...]
     flux_rel_sd: float
     """Relative scatter of the light between repeats."""
+    hidden_dn: float = 0.0
+    """Signal [DN] up to which the rounding of the data may show nothing."""
+
+    def hidden(self) -> float:
+        """The same as radiance [DN/s], in the longest exposure."""
+        return self.hidden_dn / max(self.seconds)
 
 
 @dataclass(frozen=True)
@@ -73,9 +92,11 @@ def measure_slice(
     timing: Mapping[str, Timing],
     exposures: Exposures,
     options: Options,
+    found: Sequence[str] = (),
 ) -> Slice:
     """The slice of a session, in the camera's own convention; InputError where no channel can be measured.
 
+    `found` are the flags that the frames raised, for the case that they explain what cannot be.
     `timing` and `exposures` are of the brackets that were merged here; images merged elsewhere have none.
     """
     material, geometry, tile = _tables(session)
@@ -91,6 +112,7 @@ def measure_slice(
     if given_mm and not _CORE_LOW * given_mm < core_mm < _CORE_HIGH * given_mm:
         flags += _spot_flags(given_mm, beam_on_tile(reference, spots[1], geometry.view_angle_deg))
     band_mm = options.band_mm or usual_band_mm(sample, beam)
+    hidden = {kind: timing[kind].hidden() if kind in timing else 0.0 for kind in ("sample", "reference")}
     channels: dict[str, ChannelSlice] = {}
     totals: dict[str, float] = {}
     totals_sd: dict[str, float] = {}
@@ -101,9 +123,9 @@ def measure_slice(
         if reference.is_saturated(channel):
             continue
         rho = reflectance_of(tile, channel, session, sample)
-        incident, _ = _light(reference, channel, spots[1], around_tile, options, reflects=rho)
+        incident, _ = _light(reference, channel, spots[1], around_tile, options, hidden["reference"], reflects=rho)
         per_light = rho / incident.light
-        back, found = _light(sample, channel, beam, around, options, per_light=per_light)
+        back, found = _light(sample, channel, beam, around, options, hidden["sample"], per_light=per_light)
         flags += found
         profiles = {0: back.profile} if options.radial else slice_profiles(sample, channel, beam, band_mm)
         channels[channel] = channel_slice(profiles, back.floor, per_light)
@@ -115,7 +137,7 @@ def measure_slice(
             common.append(speckle_rel_sd(radius.value, channel, session))
         scale_rel_sd.append(float(np.linalg.norm(common)))
         if not sample.is_saturated(channel):
-            totals[channel] = _plausible(back.light * per_light, channel, session)
+            totals[channel] = _plausible(back.light * per_light, channel, session, (*found, *flags))
             totals_sd[channel] = totals[channel] * float(np.hypot(back.sd / back.light, scale_rel_sd[-1]))
         if channel in totals:
             seen[totals[channel]] = (channel, (back, incident))
@@ -166,6 +188,7 @@ def _light(
     spot: Spot,
     around: Surroundings,
     options: Options,
+    hidden: float,
     *,
     reflects: float = 0.0,
     per_light: float = 0.0,
@@ -177,6 +200,8 @@ def _light(
     doubted.
     """
     total = total_light(image, channel, spot, around, glare=False)
+    if hidden > 0:
+        return rounded(total, hidden, image, spot), ["coarse_steps"]
     per_light = per_light or reflects / total.light
     if options.glare:
         return total_light(image, channel, spot, around, glare=True, per_light=per_light), []
@@ -189,12 +214,14 @@ def _light(
     return total_light(image, channel, spot, around, glare=True, per_light=per_light), ["black_offset"]
 
 
-def _plausible(total: float, channel: str, session: Session) -> float:
-    """The total; InputError where no surface can be as bright, or as dark."""
+def _plausible(total: float, channel: str, session: Session, found: Sequence[str]) -> float:
+    """The total; InputError, with what was found, where no surface can be as bright, or as dark."""
     if not 0 < total <= TOTAL_R_MAX:
+        told = [MEANING[flag].partition(":")[0] for flag in dict.fromkeys(found) if flag in _EXPLAIN]
+        asked = "was the reference lit by the same beam, and is its reflectance right?"
+        reason = f"mend what the frames show: {'; '.join(told)}" if told else asked
         raise InputError(
-            f"{session.path}: R = {total:.4g} in channel {channel} is beyond what a sample can reflect; was the "
-            "reference lit by the same beam, and are its reflectance and the darks right?"
+            f"{session.path}: R = {total:.4g} in channel {channel} is beyond what a sample can reflect; {reason}"
         )
     return total
 

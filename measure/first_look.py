@@ -52,7 +52,8 @@ def first_guess(brackets: Sequence[Bracket], camera: Camera) -> tuple[Sensor, li
 
 def _step(frames: Sequence[NDArray[np.generic]]) -> float:
     """The smallest step of several frames: one alone may show every second value only."""
-    return min(step_dn(frame) for frame in frames)
+    step = min(step_dn(frame) for frame in frames)
+    return step if np.isfinite(step) else 1.0
 
 
 def _clips_at_black(dark: NDArray[np.generic]) -> bool:

@@ -8,6 +8,7 @@ MEANING = {
     "black_clipped": "The camera cuts off at black: noise below it is lost, and faint light comes out too bright.",
     "black_offset": "Black in the frames is not that of their darks: what was found was taken off.",
     "dark_temperature": "Darks were taken warmer or colder than their frames: take them at one temperature.",
+    "coarse_steps": "The data's steps are coarser than noise: light below half a step is lost; errors allow for it.",
     "drift": "Light changed between frames by more than noise and labels explain: lamp or camera drifted.",
     "duplicate_frame": "Some frames are copies of others: they were merged once.",
     "exposure_labels_off": "Exposure times found from the bracket differ from their labels: those found were used.",

@@ -112,6 +112,22 @@ def doubted(total: Total, floor: Estimate, image: Image, spot: Spot) -> tuple[To
     return wider, light > _GLARE_SHARE * total.light
 
 
+def rounded(total: Total, hidden: float, image: Image, spot: Spot) -> Total:
+    """The total with the error that rounding makes where a pixel shows no more than `hidden` [DN/s].
+
+    There anything from nothing to that may be lost, about half of it, by all pixels alike; and not more than is under
+    a curve that falls on as the inverse square of the distance, slower than diffusion has it.
+    """
+    across, along = image.outline(spot)
+    frame = abs(float(np.trapezoid(along, across)))
+    shown = float(total.profile.r[total.profile.value > hidden].max(initial=0.0))
+    farthest = max(float(np.hypot(across, along).max()), shown)
+    falling = 2 * np.pi * shown**2 * np.log(farthest / max(shown, 1e-3 * farthest))
+    lost = hidden * min(max(frame - np.pi * shown**2, 0.0) / 2, falling)
+    floor_sd = float(np.hypot(total.floor.sd, hidden / 2))
+    return replace(total, floor=Estimate(total.floor.value, floor_sd), sd=float(np.hypot(total.sd, lost)))
+
+
 def light_by_count(image: Image, channel: str) -> Array:
     """Light of the channel's good pixels by the number of samples that were merged for each."""
     parts = [pyramid.light_by_count for pyramid in image.pyramids[channel]]

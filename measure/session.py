@@ -70,7 +70,8 @@ def measure_session(
     curve = None
     if not hdr_only:
         sample, reference = (_image(kind, merged.images, told.layouts[kind], session) for kind in _KINDS)
-        curve = measure_slice(session, sample, reference, told.timing, told.exposures, Options(radial, glare, band_mm))
+        options = Options(radial, glare, band_mm)
+        curve = measure_slice(session, sample, reference, told.timing, told.exposures, options, told.flags)
         unnamed = ["unnamed"] if session.material and session.material.name == UNNAMED else []
         curve = replace(
             curve,
@@ -180,7 +181,7 @@ def _timing(bracket: Bracket, learnt: Learnt) -> Timing:
     seconds = tuple(
         t * learnt.exposures.factor(bracket.kind, label) for t, label in zip(bracket.exposures_s(), labels, strict=True)
     )
-    return Timing(labels, seconds, learnt.flux_rel_sd.get(bracket.kind, 0.0))
+    return Timing(labels, seconds, learnt.flux_rel_sd.get(bracket.kind, 0.0), learnt.sensor.hidden_dn())
 
 
 def _image(kind: FrameKind, images: Mapping[str, Hdr], layout: str, session: Session) -> Image:

@@ -1,0 +1,100 @@
+"""What comparisons of frames tell: the simplest model that they bear, and errors that grow with their disagreement."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from bssrdf.calib.exposures import Comparison
+from bssrdf.calib.frame_model import Exposed, leak_of, solve_frames
+
+LABELS_S = [0.001 * 4**k for k in range(6)]
+SPAN, NOISE, REL_SD = 16_000.0, 0.8, 3e-4
+LEVELS = np.geomspace(20, 3500, 8)
+"""Signal of the shorter of two exposures [DN]."""
+
+
+def frames(kinds=("sample", "reference"), rel_sd=0.03):
+    return [Exposed(kind, t, t, rel_sd) for kind in kinds for t in LABELS_S]
+
+
+def comparisons(scale, *, offset=0.0, bend=0.0, leak=0.0, scatter=1.0, seed=0):
+    """Of every neighbouring pair, with the errors that they state times `scatter`; scale and offset by frame (12,)."""
+    rng = np.random.default_rng(seed)
+    offset = np.broadcast_to(offset, 12)
+    found = []
+    for first in (*range(5), *range(6, 11)):
+        second = first + 1
+        for level in LEVELS:
+            for beside in (False, True):
+                straight = np.array([level, 4 * level * np.exp(scale[second] - scale[first])])
+                shown = straight * (1 - bend * straight / SPAN) + offset[[first, second]] + np.array([0, leak * beside])
+                shown[1] *= np.exp(scatter * REL_SD * rng.standard_normal())
+                found.append(Comparison(first, second, 0, False, beside, *shown.tolist(), REL_SD**2))
+    return found
+
+
+def solved(scale, rel_sd=0.03, **world):
+    given = comparisons(scale, **world)
+    return solve_frames(frames(rel_sd=rel_sd), given, 1, NOISE, SPAN), given
+
+
+def about_mean(scale):
+    return scale - scale.mean()
+
+
+def test_frames_without_fault_keep_their_labels_and_get_nothing_else():
+    model, _ = solved(np.zeros(12))
+    assert np.abs(about_mean(model.log_scale)).max() < 2e-3
+    assert not model.offset_dn.any()
+    assert model.bend == model.lamp_rel_sd == 0
+    assert model.contradiction < 1e-4
+
+
+def test_what_both_kinds_show_is_the_labels_error_and_cancels_between_them():
+    off = np.tile(np.random.default_rng(1).uniform(-0.03, 0.03, 6), 2)
+    model, _ = solved(off)
+    np.testing.assert_allclose(about_mean(model.log_scale), about_mean(off), atol=2e-3)
+    assert model.lamp_rel_sd == 0
+    across = np.array([1, 0, 0, 0, 0, 0, -1, 0, 0, 0, 0, 0])
+    assert across @ model.covariance @ across < 1e-8
+
+
+def test_a_lamp_that_falls_within_one_bracket_widens_what_the_kinds_have_in_common():
+    fall = np.concatenate([np.linspace(0, -0.05, 6), np.zeros(6)])
+    model, _ = solved(fall)
+    for kind in (slice(6), slice(6, 12)):
+        np.testing.assert_allclose(about_mean(model.log_scale[kind]), about_mean(fall[kind]), atol=2e-3)
+    across = np.repeat([1 / 6, -1 / 6], 6)
+    found = across @ model.log_scale - across @ fall
+    assert abs(found) < 2 * np.sqrt(across @ model.covariance @ across)
+
+
+@pytest.mark.parametrize("offset", [-3.0, 0.7])
+def test_black_that_lies_off_the_darks_of_one_kind_is_found_and_bends_nothing(offset):
+    model, _ = solved(np.zeros(12), offset=np.repeat([offset, 0.0], 6))
+    np.testing.assert_allclose(model.offset_dn[:6, 0], offset, atol=0.1)
+    np.testing.assert_allclose(model.offset_dn[6:, 0], 0, atol=0.1)
+    assert abs(model.bend) < 0.003
+    assert np.abs(about_mean(model.log_scale)).max() < 3e-3
+
+
+def test_a_response_that_bends_is_told_from_labels_that_are_exact():
+    model, _ = solved(np.zeros(12), rel_sd=0.0005, bend=0.05)
+    assert model.bend == pytest.approx(0.05, rel=0.15)
+    assert np.abs(model.log_scale).max() < 2e-3
+
+
+def test_comparisons_that_contradict_each_other_enlarge_every_error():
+    calm, wild = (solved(np.zeros(12), scatter=scatter)[0] for scatter in (1.0, 30.0))
+    assert wild.contradiction == pytest.approx(30 * REL_SD, rel=0.3)
+    shape = np.eye(12) - np.kron(np.eye(2), np.full((6, 6), 1 / 6))
+    spread = [np.sqrt(np.diag(shape @ model.covariance @ shape)).mean() for model in (calm, wild)]
+    assert spread[1] > 5 * spread[0]
+
+
+def test_what_saturated_neighbours_add_is_found_apart():
+    model, given = solved(np.zeros(12), leak=2.0)
+    leak, sd = leak_of(model, frames(), given, NOISE, SPAN)
+    assert leak[0] == pytest.approx(2.0, abs=4 * sd[0] + 0.1)
+    assert not model.offset_dn.any()
