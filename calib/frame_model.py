@@ -27,7 +27,9 @@ _OUTLIER_SD = 2.0
 """Comparisons further off than this count as much as if they were so far (Huber)."""
 _BEARS = 8.0
 """Gain of the logarithm of the evidence that a further part of the model must bring."""
-_AS_EXPECTED = 1.5
+_BEARS_LAMP = -3.0
+"""The same of the lamp, which only widens errors: a flicker that a few comparisons tell is not left out."""
+_AS_EXPECTED = 1.3
 """Up to this χ² per degree of freedom nothing is looked for."""
 _LAMP, _BEND = (0.005, 6.0), (0.05, 2.0)
 _BLACK, _COLOUR, _FRAME = (1.0, 2.0), (0.3, 1.0), (0.3, 1.0)
@@ -243,7 +245,8 @@ def _simplest(maps: _Maps, pairs: _Pairs, first: dict[str, Array], span_dn: floa
         tried = [(part, maps.only((*groups, *part))) for part in left]
         solutions = [(_solved(candidate, pairs, first, span_dn), part, candidate) for part, candidate in tried]
         solution, part, candidate = max(solutions, key=lambda each: each[0].evidence)
-        if solution.evidence < best.evidence + _BEARS:
+        least = _BEARS_LAMP if part == ("lamp",) else _BEARS
+        if solution.evidence < best.evidence + least:
             break
         best, chosen, groups = solution, candidate, (*groups, *part)
         left.remove(part)

@@ -27,6 +27,8 @@ class Sensor:
     read_noise_e: float
     black_clipped: bool = False
     """The converter cuts off at black: noise below it is lost, so that darks tell neither bias nor read noise."""
+    dark_levels: int = 3
+    """Different values that 99 % of a dark's pixels show, 3 standing for more."""
     step_dn: float = 1.0
     """Between neighbouring values: 16 where 12 bits stand at the high end of 16."""
     saturations_dn: tuple[float, ...] = ()
@@ -44,9 +46,14 @@ class Sensor:
         return max((self.read_noise_e / self.gain_e_per_dn) ** 2 + self.quantisation_var_dn(), least)
 
     def hidden_dn(self) -> float:
-        """Signal [DN] up to which rounding may show nothing: half a step where noise does not dither it, else 0."""
-        dithered = self.read_noise_e / self.gain_e_per_dn > _DITHERS * self.step_dn
-        return 0.0 if dithered or self.black_clipped else self.step_dn / 2
+        """Signal [DN] up to which rounding may show nothing: half a step where noise does not dither it, else 0.
+
+        A whole one where darks show but two values: black may lie at the edge between them.
+        """
+        if self.black_clipped or self.dark_levels > 2:
+            dithered = self.read_noise_e / self.gain_e_per_dn > _DITHERS * self.step_dn
+            return 0.0 if dithered or self.black_clipped else self.step_dn / 2
+        return self.step_dn if self.dark_levels == 2 else self.step_dn / 2
 
     def span_dn(self) -> float:
         """From black to saturation, in the colour that clips last."""

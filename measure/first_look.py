@@ -23,6 +23,7 @@ _CLIPPED_SHARE = 0.3
 """Share of a dark's pixels at its lowest value above which the camera clips at black,"""
 _ABOVE_SHARE = 0.05
 """where that value is 0, or this share lies above: a whole dark at one value has noise below a step."""
+_NEARLY_ALL = 0.99
 _LOWER = 0.005
 """A pile-up this share of the range below the stated white is another limit than that."""
 
@@ -44,6 +45,7 @@ def first_guess(brackets: Sequence[Bracket], camera: Camera) -> tuple[Sensor, li
         gain,
         read_noise_e,
         _clips_at_black(darks[0]),
+        _levels(darks[0]),
         step,
         saturations if len(set(saturations)) > 1 else (),
     )
@@ -59,6 +61,12 @@ def _step(frames: Sequence[NDArray[np.generic]]) -> float:
 def _clips_at_black(dark: NDArray[np.generic]) -> bool:
     lowest = dark.min()
     return bool(np.mean(dark == lowest) > _CLIPPED_SHARE and (lowest == 0 or np.mean(dark > lowest) > _ABOVE_SHARE))
+
+
+def _levels(dark: NDArray[np.generic]) -> int:
+    """How many values nearly all pixels of a dark show: 1, 2, or 3 for more."""
+    counts = np.sort(np.unique(dark, return_counts=True)[1])[::-1]
+    return min(3, int(np.searchsorted(np.cumsum(counts), _NEARLY_ALL * dark.size)) + 1)
 
 
 def _saturations(
