@@ -15,6 +15,8 @@ Array = NDArray[np.float64]
 _LEAST_SD = 20.0
 """In units of the noise of a difference: nearer to black an offset decides the ratio."""
 _MOST_SHARE = 0.9
+_ROUGHLY = 4.0
+"""So many times clear of noise some DN of black change a ratio by less than a blunder does."""
 _BINS = 8
 """Levels of brightness by which a bend and an offset are told from each other and from the ratio."""
 _PER_BIN, _LEAST_PIXELS = 100, 8
@@ -62,6 +64,19 @@ def comparable(
     weight = signal_weight(ratio, sensor)
     bright = shorter + np.float32(weight) * longer > least_signal(sensor) * (1 + weight * ratio)
     return bright & (shorter + longer < _MOST_SHARE * span_dn * (1 + 1 / ratio))
+
+
+def rough_log_ratio(
+    shorter: NDArray[np.float32], longer: NDArray[np.float32], good: NDArray[np.bool_], sensor: Sensor
+) -> float | None:
+    """ln of the ratio of two frames' light over the `good` pixels that are bright in both together.
+
+    Good to some percent, whatever the labels say and however few pixels there are; None where noise hides it.
+    """
+    chosen = good & (shorter + longer > _ROUGHLY * least_signal(sensor))
+    light = float(shorter[chosen].sum(dtype=float)), float(longer[chosen].sum(dtype=float))
+    noise = float(np.sqrt(2 * sensor.read_var_dn() * np.count_nonzero(chosen)))
+    return float(np.log(light[1] / light[0])) if min(light) > _LEAST_SD * noise > 0 else None
 
 
 def compared(shorter: Array, longer: Array, weight: float, step_dn: float) -> Iterator[tuple[float, float, float]]:

@@ -21,11 +21,17 @@ _MOST_PAIRS, _LEAST_PAIRS = 0.7, 3
 
 
 def check_light(
-    frames: Sequence[Exposed], comparisons: Sequence[Comparison], levels: Mapping[str, Sequence[Level]]
+    frames: Sequence[Exposed],
+    comparisons: Sequence[Comparison],
+    rough: Mapping[tuple[int, int], float],
+    levels: Mapping[str, Sequence[Level]],
 ) -> None:
-    """InputError, naming the frames, where two neighbouring exposures differ in light by far more than labels err."""
+    """InputError, naming the frames, where two neighbouring exposures differ in light by far more than labels err.
+
+    `rough` is the logarithm of the ratio of two frames' light, for pairs with no comparison.
+    """
     files = {(kind, level.label_s): level.files[0] for kind, each in levels.items() for level in each}
-    found = _log_ratios(comparisons)
+    found = {**rough, **_log_ratios(comparisons)}
     stated = {pair: float(np.log(frames[pair[1]].seconds / frames[pair[0]].seconds)) for pair in found}
     off = {pair: found[pair] - stated[pair] for pair in found if abs(found[pair] - stated[pair]) > _BLUNDER}
     if not off:

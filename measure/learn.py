@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from bssrdf.calib.exposures import Comparison, comparable, compared, signal_weight
+from bssrdf.calib.exposures import Comparison, comparable, compared, rough_log_ratio, signal_weight
 from bssrdf.calib.frame_model import Exposed, Exposures, FrameModel, leak_of, solve_frames
 from bssrdf.calib.photon_transfer import Gain, clipped_variance, pair_gain, thinned
 from bssrdf.calib.registration import shift_between
@@ -65,6 +65,8 @@ class _Found:
     frames: list[Exposed] = field(default_factory=list)
     gains: list[Gain] = field(default_factory=list)
     comparisons: list[Comparison] = field(default_factory=list)
+    light: dict[tuple[int, int], float] = field(default_factory=dict)
+    """Logarithm of the ratio of the light of two frames, roughly."""
     plateaus: dict[int, float] = field(default_factory=dict)
     """Lowest DN at which pixels stopped following the light, by place in a cell."""
     n_places: int = 1
@@ -145,7 +147,7 @@ def _compare(
             if progress:
                 progress(f"compare {bracket.kind}", len(done), len(exposed))
         found.levels[bracket.kind] = done
-    check_light(found.frames, found.comparisons, found.levels)
+    check_light(found.frames, found.comparisons, found.light, found.levels)
     return found
 
 
@@ -167,6 +169,9 @@ def _compare_pair(found: _Found, before: Level, level: Level, sensor: Sensor, pe
     a, b = before.signal, level.signal
     fine = before.unsaturated(sensor), level.unsaturated(sensor)
     near = beside(~fine[0]), beside(~fine[1])
+    rough = rough_log_ratio(a, b, fine[0] & fine[1], sensor)
+    if rough is not None:
+        found.light[second - 1, second] = rough
     chosen = np.zeros(a.shape, bool)
     found.n_places = len(places(a.shape, period))
     for colour, at in enumerate(places(a.shape, period)):

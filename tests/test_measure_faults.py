@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import tifffile
 
-from bssrdf.bench.frame_faults import good, scene, write_session
+from bssrdf.bench.frame_faults import EXPOSURES_S, good, scene, write_session
 from bssrdf.bench.frames import run_frames_bench, trial, true_slice
 from bssrdf.cli import cli
 from bssrdf.console import run
@@ -43,6 +43,14 @@ def test_a_frame_of_another_exposure_is_refused_by_name(fault, truth):
         assert refused
         assert refused.startswith(("frames/sample_", "frames/reference_"))
         assert "\n" not in refused
+
+
+def test_a_bracket_that_lags_by_one_frame_is_refused_though_few_pixels_are_bright_in_the_shortest(tmp_path):
+    def lagging(frames, rng):
+        return [replace(f, exposure_s=EXPOSURES_S[max(f.number - 1, 0)]) if f.kind == "sample" else f for f in frames]
+
+    with pytest.raises(InputError, match=r"sample_1_0\.tif: shows the same light as .*sample_0_0\.tif"):
+        measure_session(write_session(tmp_path / "lag", lagging, 0))
 
 
 def test_files_that_are_gamma_coded_are_refused_with_the_power_that_was_found(tmp_path):
