@@ -125,8 +125,8 @@ def measure_slice(
         rho = reflectance_of(tile, channel, session, sample)
         incident, _ = _light(reference, channel, spots[1], around_tile, options, hidden["reference"], reflects=rho)
         per_light = rho / incident.light
-        back, found = _light(sample, channel, beam, around, options, hidden["sample"], per_light=per_light)
-        flags += found
+        back, floors = _light(sample, channel, beam, around, options, hidden["sample"], per_light=per_light)
+        flags += floors
         profiles = {0: back.profile} if options.radial else slice_profiles(sample, channel, beam, band_mm)
         channels[channel] = channel_slice(profiles, back.floor, per_light)
         lost[channel] = back.lost_fraction

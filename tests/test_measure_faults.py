@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import tifffile
 
-from bssrdf.bench.frame_faults import EXPOSURES_S, good, scene, write_session
+from bssrdf.bench.frame_faults import EXPOSURES_S, FAULTS, good, scene, write_session
 from bssrdf.bench.frames import run_frames_bench, trial, true_slice
 from bssrdf.cli import cli
 from bssrdf.console import run
@@ -142,3 +142,13 @@ def test_the_bench_says_what_it_saw(tmp_path):
     assert [t.fault for t in trials] == ["good"]
     assert (tmp_path / "out/frames.json").exists()
     assert run(cli, ["bench", "frames", "--fault", "rain"]) == 2
+
+
+def test_an_r_beyond_white_names_what_the_frames_show(tmp_path):
+    session = write_session(tmp_path / "s", FAULTS["lamp"], 1)
+    session = replace(session, reference=replace(session.reference, reflectance=(1.19,), reflectance_sd=(0.001,)))
+    for file in (session.path / "frames").glob("reference_[0-9]*.tif"):
+        raw = tifffile.imread(file).astype(float)
+        tifffile.imwrite(file, np.where(raw < 16383, 512 + 0.5 * (raw - 512), 16383).astype(np.uint16))
+    with pytest.raises(InputError, match=r"beyond what a sample can reflect; mend what the frames show: "):
+        measure_session(session)
