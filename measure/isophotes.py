@@ -281,15 +281,16 @@ def _ring(across: Array, along: Array, value: Array, n: Array, middle: float) ->
     cosine, sine, log_r, weight = along / r, across / r, np.log(r / middle), np.sqrt(n)
     terms = [np.ones_like(r), log_r, log_r**2, cosine, sine, cosine**2 - sine**2, 2 * cosine * sine]
     columns = np.stack(terms, axis=1) * weight[:, None]
+    inverse = np.linalg.inv(columns.T @ columns)
     slope = 0.0
     for _ in range(3):
         level = value * np.exp(slope * log_r)
-        solved = np.linalg.lstsq(columns, level * weight, rcond=None)[0]
+        solved = inverse @ (columns.T @ (level * weight))
         if not solved[0] > 0:
             return None
         slope -= float(solved[1] / solved[0])
     left = level * weight - columns @ solved
-    covariance = np.linalg.inv(columns.T @ columns) * float(left @ left) / (len(left) - len(solved))
+    covariance = inverse * float(left @ left) / (len(left) - len(solved))
     noise = float(np.sqrt(covariance[5, 5]) / solved[0])
     if not (slope > 0.3 and noise * 2 / slope < _RING_SD):
         return None
