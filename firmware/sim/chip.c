@@ -12,6 +12,8 @@
    simavr 1.6 treats output compare in the normal mode like PWM (it sets the pin on overflow), so the latches of OC1A and
    OC1B are modelled here: a match, which simavr times, sets or clears them as TCCR1A says. */
 #define _GNU_SOURCE
+#include <signal.h>
+#include <sys/prctl.h>
 #include <fcntl.h>
 #include <poll.h>
 #include <pty.h>
@@ -384,6 +386,7 @@ static void live(double speed) {
 }
 
 int main(int n, char **words) {
+    prctl(PR_SET_PDEATHSIG, SIGKILL); /* a test that was killed leaves no chip running */
     static char line[2 * MANY + 16];
     if (n != 2 && n != 4)
         return 2;
