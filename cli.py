@@ -383,15 +383,16 @@ def table(inputs: tuple[Path, ...], form: Any) -> None:
 
 @cli.command()
 @click.option("--out", type=FOLDER, default=Path("demo"), show_default=True, help="Folder for sessions and table.")
+@click.option("--seed", type=int, default=2001, show_default=True, help="Draws the errors of scale and tile.")
 @_force
-def demo(out: Path, force: bool) -> None:
+def demo(out: Path, seed: int, force: bool) -> None:
     """Make sessions on the simulated bench, measure and fit them, and print recovered against published values."""
     from bssrdf.bench.demo import run_demo
     from bssrdf.report.progress import stages
 
     folder = _fresh(out, force)
     with stages("demo", quiet=is_quiet()) as progress:
-        text = run_demo(folder, progress=progress)
+        text = run_demo(folder, seed=seed, progress=progress)
     click.echo(text)
 
 

@@ -19,6 +19,8 @@ Array = NDArray[np.float64]
 
 _GROWTH = 0.04
 """A bin is this fraction of its radius wide, or one step of the channel's grid."""
+_CLEAR_SD = 5.0
+"""Of a bin's noise: a curve below may cross 0 within the bin, and is added to the data and not multiplied."""
 _REJECT_SD = 6.0
 _LEAST_MEMBERS = 5
 """Fewer do not tell which of them stands out."""
@@ -160,11 +162,16 @@ def _bins(
 
     members, n = np.bincount(index[keep], minlength=n_bins), total(points.n)
     with np.errstate(divide="ignore", invalid="ignore"):
-        ratio = total(weight * points.value) / total(weight * model)
-        value = ratio * bin_model
-        share = bin_model / total(weight * model)
-        merge_sd = np.sqrt(total(weight**2 * points.variance)) * np.abs(share)
-        residual = points.value - ratio[index] * model
+        weights, noise = total(weight), np.sqrt(total(weight**2 * points.variance))
+        ratio, offset = (
+            total(weight * points.value) / total(weight * model),
+            total(weight * (points.value - model)) / weights,
+        )
+        clear = bin_model > _CLEAR_SD * noise / weights
+        value = np.where(clear, ratio * bin_model, bin_model + offset)
+        share = np.where(clear, bin_model / total(weight * model), 1 / weights)
+        merge_sd = noise * np.abs(share)
+        residual = points.value - np.where(clear[index], ratio[index] * model, model + offset[index])
         scatter_sd = np.sqrt(total((weight * residual) ** 2) * members / np.maximum(members - 1, 1)) * np.abs(share)
         shape_sd = _SHAPE_REL_SD * np.abs(value) * (steepness / n) ** 2
     scatter_sd[members < 3] = np.nan

@@ -13,7 +13,7 @@ from bssrdf.calib.surface import Surface
 from bssrdf.measure.image import Image, locate
 from bssrdf.measure.merge import HOT, SATURATED, Hdr
 from bssrdf.measure.pixels import grids_of
-from bssrdf.measure.profile import bin_edges, profile
+from bssrdf.measure.profile import Points, bin_edges, profile
 from bssrdf.measure.pyramid import Pyramid
 from bssrdf.measure.reflectance import _points as points_of
 from bssrdf.measure.reflectance import blocks_of, light_by_count, radial_profile, slice_profiles
@@ -111,3 +111,15 @@ def test_memory_beside_the_image_is_a_fraction_of_it():
     finally:
         tracemalloc.stop()
     assert peak < 20 * whole.hdr.radiance.size
+
+
+@pytest.mark.parametrize("seed", range(30))
+def test_bins_of_noise_alone_keep_their_noise(seed):
+    """Where a curve has faded into noise it crosses 0 within bins: their errors stay those of their pixels."""
+    rng = np.random.default_rng(seed)
+    across, along = rng.uniform(-30, 30, (2, 8000))
+    value = np.exp(-np.hypot(across, along)) + 1e-3 * rng.standard_normal(8000)
+    points = Points(across, along, value, np.full(8000, 1e-6), n=np.ones(8000))
+    found = profile(points, bin_edges(0.3, 30.0), (0.1, 0.1), None)
+    faded = found.r > 12
+    assert np.all(found.sd[faded] > 0.7 * 1e-3 / np.sqrt(found.n[faded]))
