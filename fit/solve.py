@@ -39,6 +39,9 @@ REST = 1e-8
 NEAR = 1e-4
 """What spot and camera do, to first order about where it was worked out, is right to 1e-7 within this; and no step so
 short is refused, since the weights that follow it may cost more than it gains."""
+QUIET = 1e-5
+"""In standard deviations of a step, and in the cost from one laying to the next: where the data hardly tell, a search
+creeps, and is at rest at less than this."""
 ROUGH = 1e-3
 SLACK = 1e-6
 """By how much of itself the cost may rise on a step: responses and weights follow the model, so that rest, where the
@@ -127,19 +130,21 @@ def settle(e: Engine, plan: Plan, model: Light, data: Problem, begin: Point, bes
     costly = any(sight.blurred or sight.camera for sight in plan.sights)
     near = NEAR if costly else 10 * REST
 
-    def again(state: tuple[Solution, Any, Any]) -> tuple[Solution, Any, Any]:
-        last, number, _ = state
+    def again(state: tuple[Solution, Any, Any, Any]) -> tuple[Solution, Any, Any, Any]:
+        last, number, *_ = state
         laid = lay(e, plan, model, data, last.point, beside)
         found = optimise(e, plan, model, data, laid, last.point, REST, relay=True, shared=last.shared)
-        return found, number + 1, _distance(xp, found.point, last.point) > near
+        quiet = xp.abs(found.cost - last.cost) < QUIET
+        return found, number + 1, _distance(xp, found.point, last.point) > near, quiet
 
     laid = lay(e, plan, model, data, begin, beside)
     if plan.constraint == "exact":
         seen = data.totals[0].r / laid.total_seen[0]
         begin = begin._replace(q=xp.where(seen < 1, q_of_total(e, model, xp.minimum(seen, 1.0)), begin.q))
     first = optimise(e, plan, model, data, laid, begin, ROUGH, relay=True)
-    found, _, moving = e.loop(lambda s: s[2] & (s[1] < LAYS), again, (first, xp.asarray(0), first.cost < np.inf))
-    return found._replace(converged=found.converged & ~moving)
+    begun = (first, xp.asarray(0), first.cost < np.inf, first.cost < 0)
+    found, _, moving, quiet = e.loop(lambda s: s[2] & (s[1] < LAYS), again, begun)
+    return found._replace(converged=(found.converged & ~moving) | quiet)
 
 
 def optimise(
@@ -184,11 +189,13 @@ def optimise(
         here = _chosen(xp, better, reduced(s.trial, looks, by), s.here)
         damping = xp.where(better, s.damping * 0.1, xp.maximum(s.damping, 1e-3) * 10)
         move = solve_damped(xp, here.curvature, here.gradient, damping)
+        if columns == (0, 1):
+            move = _within(xp, model, best.q, move, here, damping)
         move = move * xp.minimum(1.0, LONGEST_STEP / xp.maximum(xp.abs(move).max(1), TINY_MOVE))[:, None]
         errors = here.shared - xp.matmul(here.answer, move[:, :, None])[:, :, 0]
         trial = _moved(e, plan, model, data, laid, best, move, errors, columns)
-        longest = _distance(xp, trial, best)
-        done = (better & (longest < settled)) | (damping > 1e12) | ~xp.isfinite(here.cost)
+        short = (_distance(xp, trial, best) < settled) | (xp.abs((move * here.gradient).sum(1)) < QUIET**2)
+        done = (better & short) | (damping > 1e12) | ~xp.isfinite(here.cost)
         stepped = _State(trial, best, here, by, damping, s.steps + 1, done)
         return _State(*(_chosen(xp, s.done, o, n) for o, n in zip(s, stepped, strict=True)))
 
@@ -278,6 +285,14 @@ def solve_damped(xp: Any, curvature: Any, gradient: Any, damping: Any) -> Any:
     h = xp.where(xp.eye(p) > 0, xp.maximum(h, 1e-14), h)
     g = xp.where(xp.isfinite(gradient), gradient, 0.0) / scale
     return xp.linalg.solve(h, g[:, :, None])[:, :, 0] / scale
+
+
+def _within(xp: Any, model: Light, q: Any, move: Any, here: Marginal, damping: Any) -> Any:
+    """The move of (s, q), or where q would leave the model that to its edge and the best of s there."""
+    room = (xp.clip(q[:, 0] + move[:, 1], -model.q_max, model.q_max) - q[:, 0])[:, None]
+    g, h = here.gradient[:, :1], here.curvature
+    s = (g - h[:, 0, 1:2] * room) / xp.maximum(h[:, 0, :1] * (1 + damping)[:, None], 1e-30)
+    return xp.where(xp.abs(room - move[:, 1:2]) > 0, xp.concatenate([s, room], axis=1), move)
 
 
 def _distance(xp: Any, a: Point, b: Point) -> Any:
