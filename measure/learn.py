@@ -14,6 +14,7 @@ from bssrdf.calib.photon_transfer import Gain, clipped_variance, pair_gain, thin
 from bssrdf.calib.registration import shift_between
 from bssrdf.calib.saturation import plateau_dn
 from bssrdf.calib.sensor import Sensor
+from bssrdf.errors import InputError
 from bssrdf.measure.blunders import check_light
 from bssrdf.measure.bracket import Bracket
 from bssrdf.measure.correction import Correction
@@ -137,7 +138,9 @@ def _compare(
     for bracket in brackets:
         exposed = _exposed(bracket, camera)
         done: list[Level] = []
+        lit = False
         for level in levels_of(bracket, sensor):
+            lit = lit or bool(level.unsaturated(sensor).any())
             found.frames.append(exposed[level.label_s])
             found.gains += [level.gain] if level.gain else []
             if done:
@@ -146,6 +149,11 @@ def _compare(
             done.append(level)
             if progress:
                 progress(f"compare {bracket.kind}", len(done), len(exposed))
+        if not lit:
+            raise InputError(
+                f"{done[0].files[0]}: every pixel of the {bracket.kind} is saturated in every exposure; add "
+                "shorter exposures"
+            )
         found.levels[bracket.kind] = done
     check_light(found.frames, found.comparisons, found.light, found.levels)
     return found

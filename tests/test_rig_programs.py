@@ -191,7 +191,10 @@ def test_the_kind_of_a_file_is_told_by_its_content(tmp_path: Path) -> None:
 
 
 def test_an_interrupted_capture_ends_its_program(tmp_path: Path) -> None:
-    code = "from bssrdf.rig.child import ended_well; ended_well('x', ['/bin/sh', '-c', 'echo $$ > pid; sleep 60'], 60)"
+    code = (  # a job in the background ignores SIGINT
+        "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)\n"
+        "from bssrdf.rig.child import ended_well; ended_well('x', ['/bin/sh', '-c', 'echo $$ > pid; sleep 60'], 60)"
+    )
     process = subprocess.Popen([sys.executable, "-c", code], cwd=tmp_path, stderr=subprocess.DEVNULL)
     deadline = time.monotonic() + 30
     while not (tmp_path / "pid").exists() or not (tmp_path / "pid").read_text():
@@ -212,7 +215,11 @@ def test_a_signal_waits_until_what_was_begun_is_known() -> None:
             done.append("begun")
         done.append("gone on")
 
-    with pytest.raises(KeyboardInterrupt):
-        interrupted()
-    assert done == ["begun"]
-    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # a job in the background ignores it
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            interrupted()
+        assert done == ["begun"]
+        assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    finally:
+        signal.signal(signal.SIGINT, before)
