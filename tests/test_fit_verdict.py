@@ -1,0 +1,117 @@
+"""What a fit says of curves that were tampered with. The light is the engine's own walk (`bench.trial_light`)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from bssrdf.bench.trial_light import shipped
+from bssrdf.bench.trials import Drawn, slices_of
+from bssrdf.fit.run import FitOptions, fit_slices
+from bssrdf.report.fit_text import fit_text
+from bssrdf.report.table import fits_table
+from bssrdf.session.records import ChannelFit, Fit, Slice
+
+CELLS = ("Marble G", "Skin1 G", "Chicken1 R", "Wholemilk R")
+OPTIONS = FitOptions(model="mc", constraint="soft")
+
+
+def honest(name: str, seed: int = 2) -> Slice:
+    return slices_of(shipped()[name], 1, 0.01, seed, Drawn(scale=0.005, length=0.002))[0]
+
+
+def changed(piece: Slice, *, r: float = 1.0, rd: float = 1.0, sd: float = 1.0, r_total: float = 1.0) -> Slice:
+    """The slice with radii, values, errors and R multiplied."""
+    c = piece.channels["G"]
+    assert c.r_lo_mm is not None
+    assert c.r_hi_mm is not None
+    part = replace(
+        c,
+        r_mm=c.r_mm * r,
+        r_lo_mm=c.r_lo_mm * r,
+        r_hi_mm=c.r_hi_mm * r,
+        rd_per_mm2=c.rd_per_mm2 * rd,
+        sd_per_mm2=c.sd_per_mm2 * rd * sd,
+    )
+    return replace(piece, channels={"G": part}, total_r={"G": piece.total_r["G"] * r_total})
+
+
+def with_floor(piece: Slice) -> Slice:
+    """Glare of a hundredth of the brightest radius over the frame."""
+    c = piece.channels["G"]
+    return replace(piece, channels={"G": replace(c, rd_per_mm2=c.rd_per_mm2 + 1e-2 * c.rd_per_mm2.max())})
+
+
+SABOTAGE: dict[str, Callable[[Slice], Slice]] = {
+    "curve 5 % up": lambda piece: changed(piece, rd=1.05),
+    "curve 10 % up": lambda piece: changed(piece, rd=1.1),
+    "curve half as much again": lambda piece: changed(piece, rd=1.5),
+    "curve three times": lambda piece: changed(piece, rd=3.0),
+    "curve ten times": lambda piece: changed(piece, rd=10.0),
+    "radii in cm": lambda piece: changed(piece, r=0.1),
+    "R of another sample": lambda piece: changed(piece, r_total=0.85),
+    "errors a fifth": lambda piece: changed(piece, sd=0.2),
+    "glare": with_floor,
+}
+
+
+def fit(piece: Slice) -> ChannelFit:
+    return fit_slices([piece], OPTIONS)[0]["G"]
+
+
+def holds(found: ChannelFit, name: str) -> bool:
+    cell = shipped()[name].cell
+    return all(
+        lo <= truth <= hi
+        for (lo, hi), truth in (
+            (found.sigma_a_interval95_per_mm, cell.sigma_a),
+            (found.sigma_sp_interval95_per_mm, cell.sigma_sp),
+        )
+    )
+
+
+@pytest.mark.parametrize("what", SABOTAGE)
+@pytest.mark.parametrize("name", CELLS)
+def test_a_tampered_curve_is_refused_or_its_interval_holds_the_truth(name: str, what: str) -> None:
+    found = fit(SABOTAGE[what](honest(name)))
+    if found.status == "converged":
+        assert holds(found, name)
+        return
+    assert found.status in ("rejected", "unidentifiable", "failed")
+    assert np.isnan([found.sigma_a_per_mm, found.sigma_sp_per_mm, *found.sigma_a_interval95_per_mm]).all()
+
+
+@pytest.mark.parametrize("name", CELLS)
+def test_honest_curves_are_not_refused(name: str) -> None:
+    pieces = [honest(name, seed) for seed in range(20)]
+    fits = [each["G"] for each in fit_slices(pieces, OPTIONS)]
+    assert {each.status for each in fits} == {"converged"}
+
+
+def test_scatter_beyond_the_errors_widens_the_interval_and_has_its_share() -> None:
+    piece = honest("Skin1 G")
+    plain, understated = fit(piece), fit(changed(piece, sd=0.2))
+    assert understated.budget["sigma_sp"]["misfit"] > 0.8
+    assert understated.sigma_sp_sd_per_mm > 0.7 * plain.sigma_sp_sd_per_mm
+    assert "poor_fit" in understated.flags
+
+
+def test_what_is_refused_prints_no_number() -> None:
+    found = fit(changed(honest("Marble G"), rd=1.1))
+    assert found.status == "rejected"
+    assert "total_inconsistent" in found.flags
+    whole = Fit("0", "x.csv", "0" * 64, {}, "wax", 1.5, 0.0, {"G": found})
+    assert "no number is stated" in fit_text(whole)
+    (row,) = [line for line in fits_table([whole], "md").splitlines() if line.startswith("| wax")]
+    assert row.count("–") >= 4
+    assert "nan" not in row
+
+
+def test_errors_that_are_not_stated_are_named() -> None:
+    piece = replace(honest("Skin1 G"), scale_rel_sd=None, mm_rel_sd=None)
+    found = fit(piece)
+    assert {"scale", "length", "g", "eta"} <= set(found.not_stated)
+    assert "scale_sd_unknown" in found.flags
