@@ -24,7 +24,7 @@ from bssrdf.fit.terms import Constraint
 from bssrdf.session.records import ChannelSlice, Slice
 from bssrdf.transport.dipole import Medium
 from bssrdf.transport.inverse_total import absorption_ratio
-from bssrdf.transport.light import coefficients
+from bssrdf.transport.light import coefficients, dipole
 from bssrdf.transport.materials import CHANNELS, load_materials
 from bssrdf.transport.precision import scoped_x64
 from bssrdf.transport.table_cache import table_model
@@ -144,9 +144,13 @@ def _ours(name: Literal["dipole", "mc"], constraint: Constraint, problem: Proble
     ]
     options = Options(constraint, scale_free=False, robust=False, window_mm=None, tables="shipped")
     found: list[np.ndarray] = []
+    # as the peers have it: all radii, each weighed by its own error alone
+    model = dipole(ETA)._replace(relative_error=0.0, window_mfp=(0.0, np.inf)) if name == "dipole" else None
 
     def run() -> np.ndarray:
-        fitted = [fit_group(jobs[k : k + ROWS], options, name, Making()) for k in range(0, len(jobs), ROWS)]
+        fitted = [
+            fit_group(jobs[k : k + ROWS], options, name, Making(), model=model) for k in range(0, len(jobs), ROWS)
+        ]
         points = [each.found.point for each in fitted]
         found[:] = [np.concatenate([coefficients(p.log_sigma, p.q)[k][:, 0] for p in points]) for k in range(2)]
         return found[1]

@@ -140,10 +140,15 @@ def fit_group(
     making: Making,
     *,
     compile_it: bool = False,
+    model: Light | None = None,
 ) -> Fitted:
-    """Fit jobs of one key, at most BATCH, by one model; with `compile_it` by JAX, which pays for many batches."""
+    """Fit jobs of one key, at most BATCH, by one model; with `compile_it` by JAX, which pays for many batches.
+
+    `model` stands in for the named one, where a comparison asks for other weights or another window.
+    """
     piece = jobs[0].pieces[0]
-    model = dipole(piece.eta) if name == "dipole" else table_of_medium(piece, options.tables, making)
+    if model is None:
+        model = dipole(piece.eta) if name == "dipole" else table_of_medium(piece, options.tables, making)
     aside = beside(name, piece.eta, piece.g) if beam_of(piece) == NORMAL else {}
     rows = [tuple(row_of(piece, job.channel, options.window_mm) for piece in job.pieces) for job in jobs]
     plan, data = problem_of(jobs, rows, options, model, aside)

@@ -39,9 +39,11 @@ REST = 1e-8
 NEAR = 1e-4
 """What spot and camera do, to first order about where it was worked out, is right to 1e-7 within this; and no step so
 short is refused, since the weights that follow it may cost more than it gains."""
-QUIET = 1e-5
-"""In standard deviations of a step, and in the cost from one laying to the next: where the data hardly tell, a search
-creeps, and is at rest at less than this."""
+QUIET, CREEPING, PATIENCE = 1e-5, 1e-3, 12
+"""In standard deviations: a shorter step is rest; after so many steps a longer one is, since where the data hardly tell
+a search creeps along as its weights follow."""
+GAINED = 1e-3
+"""In χ², from one laying to the next: less is rest."""
 ROUGH = 1e-3
 SLACK = 1e-6
 """By how much of itself the cost may rise on a step: responses and weights follow the model, so that rest, where the
@@ -134,7 +136,7 @@ def settle(e: Engine, plan: Plan, model: Light, data: Problem, begin: Point, bes
         last, number, *_ = state
         laid = lay(e, plan, model, data, last.point, beside)
         found = optimise(e, plan, model, data, laid, last.point, REST, relay=True, shared=last.shared)
-        quiet = xp.abs(found.cost - last.cost) < QUIET
+        quiet = xp.abs(found.cost - last.cost) < GAINED
         return found, number + 1, _distance(xp, found.point, last.point) > near, quiet
 
     laid = lay(e, plan, model, data, begin, beside)
@@ -194,7 +196,8 @@ def optimise(
         move = move * xp.minimum(1.0, LONGEST_STEP / xp.maximum(xp.abs(move).max(1), TINY_MOVE))[:, None]
         errors = here.shared - xp.matmul(here.answer, move[:, :, None])[:, :, 0]
         trial = _moved(e, plan, model, data, laid, best, move, errors, columns)
-        short = (_distance(xp, trial, best) < settled) | (xp.abs((move * here.gradient).sum(1)) < QUIET**2)
+        quiet = xp.where(s.steps < PATIENCE, QUIET, CREEPING)
+        short = (_distance(xp, trial, best) < settled) | (xp.abs((move * here.gradient).sum(1)) < quiet**2)
         done = (better & short) | (damping > 1e12) | ~xp.isfinite(here.cost)
         stepped = _State(trial, best, here, by, damping, s.steps + 1, done)
         return _State(*(_chosen(xp, s.done, o, n) for o, n in zip(s, stepped, strict=True)))
