@@ -342,7 +342,7 @@ def fit(
     )
     given = {name: value for name, value in keys.items() if value is not None}
     outcomes: list[Fit | BssrdfError]
-    making = Making(_announce, None if is_quiet() else _progress)
+    making = Making(_announce, _progress if sys.stderr.isatty() and not is_quiet() else None)
     if joint:
         outcomes = [fit_joint_files(inputs, options, given, out=target, making=making, warn=warn)]
     else:
