@@ -116,7 +116,7 @@ def test_a_slice_cut_in_two_is_the_whole_where_the_parts_share_their_errors(mode
     together, apart = fit_joint(one, options)["G"], fit_joint(parts, options)["G"]
     turned = fit_joint(one[::-1], options)["G"]
     for key in ("sigma_a_per_mm", "sigma_sp_per_mm", "sigma_a_sd_per_mm", "sigma_sp_sd_per_mm"):
-        assert getattr(together, key) == pytest.approx(getattr(expected, key), rel=1e-7)
+        assert getattr(together, key) == pytest.approx(getattr(expected, key), rel=1e-8)
         assert getattr(turned, key) == pytest.approx(getattr(together, key), rel=1e-9)
     assert apart.sigma_a_per_mm != pytest.approx(expected.sigma_a_per_mm, rel=1e-4)
 

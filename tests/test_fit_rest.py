@@ -109,7 +109,7 @@ def test_jaxopt_finds_the_same_optimum_of_the_same_objective(x64: None) -> None:
     found = LevenbergMarquardt(rest, maxiter=100, xtol=1e-12, gtol=1e-12, materialize_jac=True).run(x).params
     sigma_a, sigma_sp = (float(each[0, 0]) for each in coefficients(one.found.point.log_sigma, one.found.point.q))
     theirs = coefficients(np.asarray(found[0]), np.asarray(found[1]))
-    assert theirs == pytest.approx((sigma_a, sigma_sp), rel=1e-5)
+    assert theirs == pytest.approx((sigma_a, sigma_sp), rel=1e-6)
 
 
 def test_a_table_s_model_error_is_the_spread_of_fits_to_its_noise() -> None:
