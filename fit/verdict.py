@@ -212,7 +212,7 @@ def _with_rival(
 ) -> tuple[Interval, Interval, list[str]]:
     """One interval for two media that fit alike; where it would say nothing, that is said."""
     other = [float(each[row, 0]) for each in fitted.rival]
-    if not np.isfinite(other).all():
+    if not np.isfinite(other).all() or "few_radii" in flags:
         return interval, sp_interval, flags
     sigma_a, sigma_sp = (float(each) for each in coefficients(other[0], other[1]))
     a = (min(interval[0], sigma_a), max(interval[1], sigma_a))
