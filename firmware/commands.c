@@ -169,6 +169,8 @@ static enum error set_servo(char *value) {
         if (us[i] < SERVO_LEAST_US)
             return OUT_OF_RANGE;
     }
+    if (shutter_is_moving())
+        return STILL_OPEN;
     for (uint8_t i = 0; i < 2; i++)
         settings.servo_us[i] = us[i];
     return kept();

@@ -90,7 +90,9 @@ def _key(job: Job, options: Options) -> Any:
     binned = tuple(p.channels[job.channel].r_lo_mm is not None for p in job.pieces)
     spot = tuple(p.spot_radius_mm is not None for p in job.pieces)
     stated = tuple(_stated(piece) for piece in job.pieces)
-    return (first.eta, first.g, seen, binned, spot, stated, _sharing(job), _constraint(job, options.constraint), size)
+    constraint = _constraint(job, options.constraint)
+    totals = _totals(job, constraint)
+    return (first.eta, first.g, seen, binned, spot, stated, _sharing(job), constraint, totals, size)
 
 
 def _stated(piece: Slice) -> tuple[bool, ...]:

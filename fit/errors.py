@@ -60,7 +60,7 @@ def judge(e: Engine, plan: Plan, model: Light, data: Problem, found: Solution) -
     p = (plan.constraint != "exact") + 1 + plan.scale_free
     chi2 = found.cost / xp.maximum(n + (plan.constraint == "soft") * len(plan.totals) - p, 1)
 
-    sources = _by_prior(xp, plan, answer)
+    sources = _by_prior(plan, answer)
     noise, allowed = 0.0, 0.0
     for k, (c, x) in enumerate(zip(data.curves, rows, strict=True)):
         in_force = w2[k] * _rescaled(xp, w2[k], by.mass[k])
@@ -109,7 +109,7 @@ def _answer(e: Engine, plan: Plan, model: Light, data: Problem, found: Solution,
     return xp.matmul(short, xp.matmul(inverse, down))
 
 
-def _by_prior(xp: Any, plan: Plan, answer: Any) -> dict[str, Any]:
+def _by_prior(plan: Plan, answer: Any) -> dict[str, Any]:
     """Covariances by source of the shared errors, each of one sd."""
     sources: dict[str, Any] = {}
     for k, error in enumerate(plan.shared):

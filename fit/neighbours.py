@@ -36,7 +36,7 @@ def to_log(q: Floats) -> Floats:
     return np.stack([np.stack([one, 2 / q], 1), np.stack([one, -2 * q / 3 / (1 - q * q / 3)], 1)], 1)
 
 
-def table_error(plan: Plan, model: Table, data: Problem, found: Solution, judged: Judged) -> Floats:
+def table_error(model: Table, data: Problem, found: Solution, judged: Judged) -> Floats:
     """From the Monte Carlo noise of the table's knots, which are independent."""
     q = np.clip(np.abs(found.point.q), 1e-12, model.q_max)
     knots = model.log_curve_sd.shape[1]
@@ -54,9 +54,7 @@ def table_error(plan: Plan, model: Table, data: Problem, found: Solution, judged
     return np.sqrt(np.square(by_knot * sd[:, None, :]).sum(2))
 
 
-def sensitivities(
-    plan: Plan, model: Light, data: Problem, found: Solution, judged: Judged, beside: Neighbours
-) -> dict[str, Floats]:
+def sensitivities(plan: Plan, model: Light, found: Solution, judged: Judged, beside: Neighbours) -> dict[str, Floats]:
     """d ln(σa, σs′) by η and g, as `d_ln_sigma_a_d_g`."""
     out = {}
     for name, (other, step) in beside.items():

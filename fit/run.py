@@ -164,7 +164,7 @@ def extra_of(fitted: Fitted, making: Making) -> Extra:
     """What further models say of a batch."""
     extra = Extra(_profiles(fitted), [{}] * len(fitted.jobs), _slopes(fitted), _others(fitted), None, True)
     if isinstance(fitted.model, Table):
-        error = table_error(fitted.plan, fitted.model, fitted.data, fitted.found, fitted.judged)
+        error = table_error(fitted.model, fitted.data, fitted.found, fitted.judged)
         return extra._replace(model_error=_by_name(error))
     piece = fitted.jobs[0].pieces[0]
     truth = truth_of(piece, fitted.options.tables, making)
@@ -190,7 +190,7 @@ def _profiles(fitted: Fitted) -> dict[int, Profile]:
 
 
 def _slopes(fitted: Fitted) -> list[dict[str, float]]:
-    found = sensitivities(fitted.plan, fitted.model, fitted.data, fitted.found, fitted.judged, fitted.beside)
+    found = sensitivities(fitted.plan, fitted.model, fitted.found, fitted.judged, fitted.beside)
     return [{key: float(each[row]) for key, each in found.items()} for row in range(len(fitted.jobs))]
 
 

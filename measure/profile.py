@@ -53,7 +53,6 @@ class Profile:
     sd: Array
     n: Array
     """Pixels."""
-    n_rejected: int
 
     @property
     def r(self) -> Array:
@@ -182,7 +181,6 @@ def _bins(
         value[used],
         np.hypot(np.fmax(merge_sd, scatter_sd), shape_sd)[used],
         n[used],
-        int((~keep).sum()),
     )
 
 

@@ -24,10 +24,10 @@ def _channel(channel: ChannelFit) -> str:
         chi2 = "" if math.isnan(channel.chi2_reduced) else f", χ² {channel.chi2_reduced:.2f}"
         return f"{channel.status}: no number is stated ({channel.model}, {channel.n} radii{chi2})"
     sigma_sp = f"σs′ {_with_error(channel.sigma_sp_per_mm, channel.sigma_sp_sd_per_mm)}/mm"
-    if channel.status == "upper_bound":
-        sigma_a = f"σa < {channel.sigma_a_interval95_per_mm[1]:.2g}/mm (95 %)"
-    elif math.isnan(channel.sigma_a_per_mm):
+    if math.isnan(channel.sigma_a_per_mm):
         sigma_a = "σa –"
+    elif channel.status == "upper_bound":
+        sigma_a = f"σa < {channel.sigma_a_interval95_per_mm[1]:.2g}/mm (95 %)"
     else:
         sigma_a = f"σa {_with_error(channel.sigma_a_per_mm, channel.sigma_a_sd_per_mm)}/mm"
     chi2 = "" if math.isnan(channel.chi2_reduced) else f"  χ² {channel.chi2_reduced:.2f}"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import json
+import math
 from collections.abc import Sequence
 from typing import Any, Literal
 
@@ -50,6 +51,7 @@ def fits_table(fits: Sequence[Fit], form: Format) -> str:
 def _fitted_row(material: str, name: str, eta: float, g: float | None, channels: Sequence[ChannelFit]) -> Row:
     sigma_sp = combine([c.sigma_sp_per_mm for c in channels], [c.sigma_sp_sd_per_mm for c in channels])
     sigma_a = combine([c.sigma_a_per_mm for c in channels], [c.sigma_a_sd_per_mm for c in channels])
+    known = [c.total_r_model for c in channels if not math.isnan(c.total_r_model)]
     return {
         "material": material,
         "channel": name,
@@ -62,7 +64,7 @@ def _fitted_row(material: str, name: str, eta: float, g: float | None, channels:
         "inflation_sigma_a": _digits(sigma_a.inflation, 3),
         "eta": eta,
         "g": g,
-        "r": _digits(sum(c.total_r_model for c in channels) / len(channels)),
+        "r": _digits(sum(known) / len(known) if known else math.nan),
         "model": " ".join(sorted({c.model for c in channels})),
         "status": " ".join(sorted({c.status for c in channels})),
         "flags": " ".join(sorted({flag for c in channels for flag in c.flags})),

@@ -66,8 +66,13 @@ class Check:
 
 
 def validate(fit: Fit, piece: Slice, *, progress: Callable[[str, int, int], None] | None = None) -> list[Check]:
-    """Simulate every channel that converged, with the absorbing walk and no table; g is the fit's, 0 if unknown."""
-    sound = {name: channel for name, channel in fit.channels.items() if channel.status in ("converged", "upper_bound")}
+    """Simulate every channel that converged, where σa is known, with the absorbing walk and no table; g is the fit's,
+    0 if unknown."""
+    sound = {
+        name: channel
+        for name, channel in fit.channels.items()
+        if channel.status in ("converged", "upper_bound") and math.isfinite(channel.sigma_a_per_mm)
+    }
     checks = []
     for number, (name, channel) in enumerate(sound.items()):
         if progress is not None:

@@ -25,7 +25,7 @@ def exposure_source(text: str, folder: Path) -> Exposure:
     InputError for a file without an exposure.
     """
     if text.lower().endswith(".csv"):
-        return _of_table(Path(text), folder)
+        return _of_table(Path(text))
     try:
         pattern = re.compile(text)
     except re.error as error:
@@ -50,7 +50,7 @@ def exposure_source(text: str, folder: Path) -> Exposure:
     return found
 
 
-def _of_table(file: Path, folder: Path) -> Exposure:
+def _of_table(file: Path) -> Exposure:
     table = parse_csv(file, read_text(file), ("file", "exposure_s", "page"), ("file", "exposure_s"))
     exposures: dict[tuple[str, str], float] = {}
     for line, row in zip(table.lines, table.rows, strict=True):
@@ -58,7 +58,9 @@ def _of_table(file: Path, folder: Path) -> Exposure:
         seconds = seconds_of(values["exposure_s"])
         if seconds is None:
             raise InputError(f"{file}: line {line}: exposure_s {shown(values['exposure_s'])} must be a time above 0")
-        exposures[PurePosixPath(values["file"]).as_posix(), values.get("page", "")] = seconds
+        key = PurePosixPath(values["file"]).as_posix(), values.get("page", "")
+        if exposures.setdefault(key, seconds) != seconds:
+            raise InputError(f"{file}: line {line}: lists {shown(values['file'])} again; take one line out")
 
     def listed(relative: PurePosixPath, page: int) -> float:
         for name in (str(relative), relative.name):

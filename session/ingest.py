@@ -132,6 +132,7 @@ def _take(
     first, second = next(images), next(images, None)
     target.parent.mkdir(parents=True, exist_ok=True)
     if second is None:
+        _check_free(target)
         shutil.copy2(source, target)
         return [_line(target, building, kind, first, _exposure(source, relative, kind, first, told))]
     frames = []
@@ -151,9 +152,13 @@ def _take(
 def _write_page(file: Path, image: RawFrame) -> None:
     import tifffile
 
+    _check_free(file)
+    tifffile.imwrite(file, image.data, photometric="rgb" if image.data.ndim == 3 else "minisblack", metadata=None)
+
+
+def _check_free(file: Path) -> None:
     if file.exists():
         raise InputError(f"{file.name}: a page of a stack would take the name of another file; rename the stack")
-    tifffile.imwrite(file, image.data, photometric="rgb" if image.data.ndim == 3 else "minisblack", metadata=None)
 
 
 def _line(file: Path, building: Path, kind: FrameKind, image: RawFrame, exposure_s: float) -> Frame:

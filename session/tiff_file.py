@@ -124,7 +124,7 @@ def _frame(path: Path, page: Any, pixels: bool) -> RawFrame:
     layout = _layout(path, page, tags)
     data: NDArray[Any] = _pixels(path, page) if pixels else np.empty((0, 0), np.uint8)
     cut = _active_area(tags, page)
-    black, white = _levels(path, page, tags)
+    black, white = _levels(path, tags)
     card = replace(
         card_of_tags(tags),
         layout=layout,
@@ -254,7 +254,7 @@ def _active_area(tags: Tags, page: Any) -> tuple[slice, slice] | None:
     return slice(top, bottom), slice(left, right)
 
 
-def _levels(path: Path, page: Any, tags: Tags) -> tuple[tuple[float, ...] | None, tuple[float, ...] | None]:
+def _levels(path: Path, tags: Tags) -> tuple[tuple[float, ...] | None, tuple[float, ...] | None]:
     """Black and white [DN] where tags give them: one number, or one by place or by channel."""
     black, white = (_numbers(tags.get(name)) for name in ("BlackLevel", "WhiteLevel"))
     repeat = tuple(tags.get("BlackLevelRepeatDim") or (1, 1))

@@ -220,6 +220,16 @@ def test_a_memory_that_is_blank_or_corrupt_leaves_no_output_type_and_the_shutter
     assert chip.pulses_us("shutter") == pytest.approx([1000], abs=1)
 
 
+def test_a_servo_s_ends_stay_while_it_is_open(chip: Chip) -> None:
+    chip.send("SHUT:TYPE TTL")
+    chip.send("SHUT:STAT OPEN")
+    chip.send("SHUT:SERV 900,2100")
+    assert chip.errors() == ['-221,"Settings conflict; open"']
+    chip.send("SHUT:STAT CLOS", 1000)
+    chip.send("SHUT:SERV 900,2100")
+    assert (chip.errors(), chip.ask("SHUT:SERV?")) == ([], "900,2100")
+
+
 @pytest.mark.parametrize(("cause", "errors"), [(POWER, []), (BROWN_OUT, ['-240,"Hardware error; brown-out"'])])
 def test_it_starts_dark_and_closed_whatever_it_did_before(chip: Chip, cause: int, errors: list[str]) -> None:
     for command in ("SHUT:PULS 60000000", "BEAM:STAT ON", "CAM:PULS 60000000"):

@@ -128,3 +128,16 @@ def test_the_order_of_the_data_does_not_matter() -> None:
     a, b = (fit_slice(each, OPTIONS)["G"] for each in (piece, mixed))
     assert a.sigma_a_per_mm == pytest.approx(b.sigma_a_per_mm, rel=1e-9)
     assert a.sigma_sp_sd_per_mm == pytest.approx(b.sigma_sp_sd_per_mm, rel=1e-9)
+
+
+def test_each_channel_has_its_own_totals() -> None:
+    """Each R stands in another slice, so that channels that are fitted in one batch would take the wrong one."""
+    one, two = session(1), session(2)
+    curves = dict.fromkeys(("R", "G"), one.channels["G"])
+    first = replace(one, channels=curves, total_r={"R": one.total_r["G"]}, total_r_sd={"R": one.total_r_sd["G"]})
+    second = replace(two, channels=dict.fromkeys(("R", "G"), two.channels["G"]))
+    together = fit_joint([first, second], OPTIONS)
+    alone = fit_joint([replace(piece, channels={"G": piece.channels["G"]}) for piece in (first, second)], OPTIONS)
+    assert together["G"].status == alone["G"].status == "converged"
+    for key in ("sigma_a_per_mm", "sigma_sp_per_mm"):
+        assert getattr(together["G"], key) == pytest.approx(getattr(alone["G"], key), rel=1e-9)

@@ -115,7 +115,7 @@ def test_jaxopt_finds_the_same_optimum_of_the_same_objective(x64: None) -> None:
 def test_a_table_s_model_error_is_the_spread_of_fits_to_its_noise() -> None:
     one = fitted([trial("Wholemilk R")])
     assert isinstance(one.model, Table)
-    stated = table_error(one.plan, one.model, one.data, one.found, one.judged)[0]
+    stated = table_error(one.model, one.data, one.found, one.judged)[0]
     rng = np.random.default_rng(0)
     rows = np.zeros(300, int)
     (curves,), knots = one.data.curves, one.model.log_curve_sd.shape[1]

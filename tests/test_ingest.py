@@ -118,6 +118,28 @@ def test_a_stack_that_does_not_tell_its_exposures_needs_a_table(tmp_path: Path) 
         ingest_folder(tmp_path / "in", tmp_path / "t", exposure_from="_(x)")
 
 
+def test_a_page_of_a_stack_and_a_file_never_share_a_name(tmp_path: Path) -> None:
+    folder = tmp_path / "in" / "sample"
+    folder.mkdir(parents=True)
+    for name, data in (("a.tif", STACK), ("a_page1.tif", STACK[0])):
+        tifffile.imwrite(folder / name, data, metadata=None, photometric="minisblack")
+    with pytest.raises(InputError, match=r"a_page1.tif: a page of a stack would take the name of another file"):
+        ingest_folder(tmp_path / "in", tmp_path / "s", exposure_from=str(listed(tmp_path, "sample/a.tif,,1")))
+
+
+def test_a_table_of_exposures_with_two_for_one_picture_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "in" / "sample").mkdir(parents=True)
+    tifffile.imwrite(tmp_path / "in" / "sample" / "a.tif", STACK[0], metadata=None, photometric="minisblack")
+    with pytest.raises(InputError, match=r"line 3: lists 'sample/a.tif' again"):
+        ingest_folder(tmp_path / "in", tmp_path / "s", exposure_from=str(listed(tmp_path, "sample/a.tif,,7")))
+
+
+def listed(folder: Path, line: str) -> Path:
+    table = folder / "times.csv"
+    table.write_text("\n".join(["file,page,exposure_s", "sample/a.tif,,1", line, "sample/a_page1.tif,,1"]))
+    return table
+
+
 def test_hidden_files_and_sidecars_are_no_frames(folder: Path, tmp_path: Path) -> None:
     for name in ("wax/._a_10ms_1.tif", ".Trashes/a_1s.tif", "__MACOSX/wax/a_1s.tif", "wax/.hidden_1s.tif"):
         (folder / name).parent.mkdir(parents=True, exist_ok=True)

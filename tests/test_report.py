@@ -68,6 +68,12 @@ def test_a_table_of_fits_has_one_row_a_channel_and_nothing_for_nan() -> None:
     assert rows[2]["flags"] == "noise"
 
 
+def test_a_repeat_that_tells_nothing_takes_nothing_from_the_others() -> None:
+    unknown = replace(CHANNEL, sigma_a_per_mm=math.nan, total_r_model=math.nan, status="rejected")
+    (row,) = json.loads(fits_table([FIT, replace(FIT, channels={"R": unknown})], "json"))
+    assert row["r"] == CHANNEL.total_r_model
+
+
 def test_a_fit_in_words_gives_the_digits_that_the_error_carries() -> None:
     text = fit_text(FIT)
     assert "σs′ 2.190 ± 0.020/mm" in text
