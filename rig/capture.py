@@ -249,12 +249,12 @@ class _Run:
 
     def _shot(self, step: Step, part: Path) -> Path:
         """One shot with the shutter as the step wants it; closed when this returns, unless a person is the shutter."""
-        shutter, camera, clock = self._devices.shutter, self._devices.camera, self._devices.clock
+        shutter, camera = self._devices.shutter, self._devices.camera
         if not step.lit:
             self._shut()
             return camera.take(step.exposure_s, part, self._keep_alive)
         shutter.open_for(self._longest_open_s(step))
-        clock.sleep(self._plan.settle_s)
+        self._settle()
         file = camera.take(step.exposure_s, part, self._keep_alive)
         try:
             self._expect_shutter("open")
@@ -286,6 +286,14 @@ class _Run:
         if self._devices.kept_alive and time.monotonic() - self._watched > _WATCH_S:
             self._devices.shutter.state()
             self._watched = time.monotonic()
+
+    def _settle(self) -> None:
+        left = self._plan.settle_s
+        while left > 0:
+            part = min(left, _WATCH_S * self._devices.clock.speed)
+            self._devices.clock.sleep(part)
+            self._keep_alive()
+            left -= part
 
     def _line(self, step: Step, file: Path, seen: Seen | None) -> Frame:
         """The frame's line of frames.csv, with what its file says of itself."""
@@ -341,4 +349,6 @@ class _Run:
         if self._laid != subject:
             self._shut()
             self._devices.operator.lay(subject)
+            if self._devices.kept_alive:  # its watchdog has put the beam out while a person worked
+                self._devices.beam.on()
             self._laid = subject

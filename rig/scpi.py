@@ -48,7 +48,7 @@ class ScpiController:
             self._line = SerialLine(self.name, self._open_port(self._port, BAUD, self._timeout_s))
             self._identity = Identity("scpi", self._port, self._first_answer())
             self.command("*CLS")
-            self.command(f"SYST:WATC {round(self.watchdog_s * 1000)}")
+            self.command(f"SYST:WATC {max(round(self.watchdog_s * 1000), 1)}")
         return self._identity
 
     def query(self, command: str, known: Callable[[str], bool]) -> str:

@@ -20,6 +20,8 @@ from bssrdf.rig.capture import Event, capture
 from bssrdf.rig.commands import dry_run, rig_close, rig_status, run_capture
 from bssrdf.rig.devices import devices_of
 from bssrdf.rig.locks import lock_ports
+from bssrdf.rig.operators import SimulatedOperator
+from bssrdf.rig.plan_toml import Subject
 from bssrdf.rig.rig_toml import read_rig
 from bssrdf.rig.sim.launch import SimulatedBench
 from bssrdf.session.constancy import card_of_file
@@ -300,3 +302,19 @@ def test_the_simulated_bench_comes_with_the_command(plan: Path, tmp_path: Path) 
 @pytest.mark.slow
 def test_file_safety_is_cheap(tmp_path: Path) -> None:
     assert file_safety_ms(tmp_path) < 60
+
+
+def test_no_wait_of_ours_lets_the_controller_s_watchdog_put_out_the_light(
+    mended: SimulatedBench, plan: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    lay = SimulatedOperator.lay
+
+    def slowly(self: SimulatedOperator, subject: Subject) -> None:
+        time.sleep(1.7 if subject == "sample" else 0.0)
+        lay(self, subject)
+
+    monkeypatch.setattr(SimulatedOperator, "lay", slowly)
+    text = PLAN.replace("settle_s = 0.0", f"settle_s = {1.7 * mended.speed}\ndrift_check = false")
+    plan.write_text(text.replace("0.016, 0.001", "0.016"), encoding="utf-8")
+    capture(plan, mended.rig_file, tmp_path / "s")
+    assert len(read_frames(tmp_path / "s")) == 4
