@@ -33,7 +33,7 @@ _AND_PEAK = """
 import re, sys
 from pathlib import Path
 from bssrdf.cli import cli
-from bssrdf.console import run
+from bssrdf.commands.console import run
 code = run(cli, sys.argv[1:])
 print(re.search(r"VmHWM:\\s*(\\d+)", Path("/proc/self/status").read_text())[1])
 sys.exit(code)

@@ -13,7 +13,7 @@ from bssrdf.bench.render import Effort, _bias, run_render_bench
 from bssrdf.bench.render_cases import MATERIALS, cases
 from bssrdf.bench.render_truth import cut_share, sky_radiance
 from bssrdf.cli import cli
-from bssrdf.console import run
+from bssrdf.commands.console import run
 from bssrdf.errors import UsageError
 from bssrdf.render.material import find_medium
 from bssrdf.transport.brdf import brdf_diffuse, brdf_single

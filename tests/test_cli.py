@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from bssrdf.cli import cli
-from bssrdf.console import run
+from bssrdf.commands.console import run
 from bssrdf.errors import DeviceError
 from bssrdf.session.slice_csv import HEADER
 from bssrdf.transport.dipole import Medium, rd, total_r
@@ -74,7 +74,7 @@ def test_help_imports_nothing_heavy() -> None:
     shown = python(f"""
 import sys
 from bssrdf.cli import cli
-from bssrdf.console import run
+from bssrdf.commands.console import run
 for arguments in [[], *([name] for name in cli.commands)]:
     assert run(cli, [*arguments, "--help"]) == 0
 assert not set({HEAVY!r}) & set(sys.modules), set({HEAVY!r}) & set(sys.modules)
@@ -86,7 +86,7 @@ def test_fit_imports_little_more_than_jax(good: Path) -> None:
     code = f"""
 import sys
 from bssrdf.cli import cli
-from bssrdf.console import run
+from bssrdf.commands.console import run
 assert run(cli, ["fit", {str(good)!r}, "--model", "dipole"]) == 0
 heavy = {{"cv2", "matplotlib", "numba", "rawpy"}} & set(sys.modules)
 assert not heavy, heavy

@@ -10,7 +10,7 @@ import pytest
 import tifffile
 
 from bssrdf.cli import cli
-from bssrdf.console import run
+from bssrdf.commands.console import run
 
 EXPOSURES = {"10ms": 0.01, "40ms": 0.04}
 SHAPE = (12, 16)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from bssrdf.cli import cli
-from bssrdf.console import run
+from bssrdf.commands.console import run
 from bssrdf.session.oiio_file import read_images
 
 QUICK = ("--quiet", "--width", "12", "--samples", "2")

@@ -12,7 +12,7 @@ import tifffile
 from numpy.typing import NDArray
 
 from bssrdf.cli import cli
-from bssrdf.console import run
+from bssrdf.commands.console import run
 from bssrdf.errors import InputError
 from bssrdf.measure.bracket import bracket_of, layout_of
 from bssrdf.rig.sim.raw_files import dng_bytes

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from bssrdf.cli import cli
-from bssrdf.console import run
+from bssrdf.commands.console import run
 from bssrdf.session.slice_csv import HEADER
 
 ROOT = Path(__file__).resolve().parents[1]

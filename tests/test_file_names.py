@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from bssrdf.cli import cli
-from bssrdf.console import run
+from bssrdf.commands.console import run
 from bssrdf.errors import InputError, UsageError
 from bssrdf.session.exposure_source import exposure_source
 from bssrdf.session.file_names import exposure_from_name, exposure_from_path, seconds_of

@@ -18,7 +18,7 @@ from simulated_chip import Chip
 
 from bssrdf.bench.capture import PLAN, small_scene
 from bssrdf.cli import cli
-from bssrdf.console import run
+from bssrdf.commands.console import run
 from bssrdf.errors import DeviceError, InputError
 from bssrdf.rig import pulse_test
 from bssrdf.rig.capture import capture

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from bssrdf.cli import cli
-from bssrdf.console import run
+from bssrdf.commands.console import run
 from bssrdf.errors import InputError
 from bssrdf.fit.run import FitOptions, fit_joint, fit_slice
 from bssrdf.session.records import ChannelSlice, Slice

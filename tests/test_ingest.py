@@ -11,7 +11,7 @@ import pytest
 import tifffile
 
 from bssrdf.cli import cli
-from bssrdf.console import run
+from bssrdf.commands.console import run
 from bssrdf.errors import InputError, UsageError
 from bssrdf.session.frame_files import read_frame_file
 from bssrdf.session.frames_csv import read_frames

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from bssrdf.cli import cli
-from bssrdf.console import BAD_INPUT, run
+from bssrdf.commands.console import BAD_INPUT, run
 from bssrdf.session.slice_csv import read_slice
 
 EXPOSURES_MS = [1, 2, 4, 8, 16, 32, 64, 128, 256, 512]

@@ -11,7 +11,7 @@ import tifffile
 from bssrdf.bench.frame_faults import EXPOSURES_S, FAULTS, good, scene, write_session
 from bssrdf.bench.frames import run_frames_bench, trial, true_slice
 from bssrdf.cli import cli
-from bssrdf.console import run
+from bssrdf.commands.console import run
 from bssrdf.errors import InputError
 from bssrdf.measure.session import measure_session
 from bssrdf.session.frames_csv import read_frames, write_frames

@@ -10,7 +10,7 @@ from scipy.special import erf
 from bssrdf.calib.spot_radius import knife_edge_radius
 from bssrdf.calib.surface import Surface
 from bssrdf.cli import cli
-from bssrdf.console import BAD_INPUT, WRONG_USAGE, run
+from bssrdf.commands.console import BAD_INPUT, WRONG_USAGE, run
 from bssrdf.errors import InputError
 from bssrdf.measure.image import Image, beam_on_tile, locate, spot_radius_mm
 from bssrdf.measure.merge import Hdr

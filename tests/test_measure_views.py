@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from bssrdf.cli import cli
-from bssrdf.console import BAD_INPUT, run
+from bssrdf.commands.console import BAD_INPUT, run
 from bssrdf.errors import InputError
 from bssrdf.measure.views import compare_views
 from bssrdf.session.records import ChannelSlice, Slice

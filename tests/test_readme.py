@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from bssrdf.cli import cli
-from bssrdf.console import run
+from bssrdf.commands.console import run
 from bssrdf.rig.sim.picture import picture
 from bssrdf.rig.sim.raw_files import dng_bytes
 from bssrdf.rig.sim.samples import published_sample, white_tile

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from bssrdf.cli import cli
-from bssrdf.console import run
+from bssrdf.commands.console import run
 from bssrdf.errors import InputError
 from bssrdf.rig.devices import devices_of
 from bssrdf.rig.drivers import PARTS, Driver, find, names

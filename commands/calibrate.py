@@ -9,7 +9,7 @@ from typing import Any
 
 import click
 
-from bssrdf.console import Group, is_quiet, warn
+from bssrdf.commands.console import Group, is_quiet, warn
 from bssrdf.errors import UsageError
 
 PATHS = click.Path(path_type=Path)

@@ -8,11 +8,10 @@ from typing import Literal
 
 import click
 
-from bssrdf.console import Group, is_quiet
+from bssrdf.commands.console import FOLDER, Command, Group, force_option, fresh, is_quiet
 from bssrdf.errors import UsageError
 
 OUT = click.option("--out", type=click.Path(path_type=Path), help="Folder for the results as JSON and as a plot.")
-FORCE = click.option("--force", is_flag=True, help="Replace what stands at the output.")
 
 
 @click.group(cls=Group)
@@ -22,33 +21,33 @@ def bench() -> None:
 
 @bench.command()
 @OUT
-@FORCE
+@force_option
 def hdr(out: Path | None, force: bool) -> None:
     """Merge one bracket by every method there is."""
     from bssrdf.bench.hdr import run_hdr_bench, table
     from bssrdf.report.progress import steps
 
     with steps(quiet=is_quiet()) as progress:
-        result = run_hdr_bench(out=_folder(out, force), progress=progress)
+        result = run_hdr_bench(out=out and fresh(out, force), progress=progress)
     click.echo(table(result))
 
 
 @bench.command()
 @OUT
-@FORCE
+@force_option
 def fit(out: Path | None, force: bool) -> None:
     """Fit the same curves by every model and constraint, by jaxopt and by SciPy."""
     from bssrdf.bench.fit import run_fit_bench, table
     from bssrdf.report.progress import steps
 
     with steps(quiet=is_quiet()) as progress:
-        scores = run_fit_bench(out=_folder(out, force), progress=progress)
+        scores = run_fit_bench(out=out and fresh(out, force), progress=progress)
     click.echo(table(scores))
 
 
 @bench.command()
 @OUT
-@FORCE
+@force_option
 @click.option("--trials", type=click.IntRange(2), default=64, show_default=True, help="For each cell.")
 @click.option("--scale-sd", type=float, default=0.0, help="Relative error of the scale, drawn for each trial.")
 @click.option("--length-sd", type=float, default=0.0, help="Relative error of lengths, drawn for each trial.")
@@ -69,7 +68,7 @@ def trials(
 
     with steps(quiet=is_quiet()) as progress:
         outcomes = run_trials(
-            out=_folder(out, force),
+            out=out and fresh(out, force),
             progress=progress,
             trials=trials,
             models=models or MODELS,
@@ -80,7 +79,7 @@ def trials(
 
 @bench.command()
 @OUT
-@FORCE
+@force_option
 @click.option("--sessions", type=click.IntRange(1), default=20, show_default=True, help="Of each fault.")
 @click.option("--fault", "faults", multiple=True, help="Only this one; may be given again.")
 @click.option("--material", default="marble", show_default=True, help="What lies under the beam.")
@@ -98,7 +97,7 @@ def frames(out: Path | None, force: bool, sessions: int, faults: tuple[str, ...]
             seeds=sessions,
             faults=faults or tuple(FAULTS),
             material=material,
-            out=_folder(out, force),
+            out=out and fresh(out, force),
             progress=progress,
         )
     click.echo(table(found))
@@ -106,14 +105,12 @@ def frames(out: Path | None, force: bool, sessions: int, faults: tuple[str, ...]
 
 @bench.command()
 @click.option("--out", type=click.Path(path_type=Path), default=Path("bench-transport"), show_default=True)
-@FORCE
+@force_option
 def transport(out: Path, force: bool) -> None:
     """Photons a second, time to 1 % error in every bin, and what a table costs beside the dipole."""
     from bssrdf.bench.transport import run
 
-    folder = _folder(out, force)
-    assert folder is not None
-    click.echo(json.dumps(run(folder), indent=1))
+    click.echo(json.dumps(run(fresh(out, force)), indent=1))
 
 
 @bench.command()
@@ -123,14 +120,12 @@ def capture(out: Path, kills: int) -> None:
     """Every fault of the simulated bench at every step, and captures killed at random moments."""
     from bssrdf.bench.capture import run_bench
 
-    folder = _folder(out, force=False)
-    assert folder is not None
-    click.echo(run_bench(folder, kills=kills))
+    click.echo(run_bench(fresh(out, force=False), kills=kills))
 
 
 @bench.command()
 @OUT
-@FORCE
+@force_option
 @click.option("--material", "materials", multiple=True, help="Only this one; may be given again.")
 @click.option("--scene", "scenes", multiple=True, help="Only this one, such as `ball 10`; may be given again.")
 @click.option("--quick", is_flag=True, help="Two scenes of marble, to see that it works.")
@@ -145,11 +140,20 @@ def render(out: Path | None, force: bool, materials: tuple[str, ...], scenes: tu
     effort = QUICK if quick else Effort()
     effort = replace(effort, materials=materials or effort.materials, scenes=scenes or effort.scenes)
     with steps(quiet=is_quiet()) as progress:
-        results = run_render_bench(_folder(out, force), effort=effort, progress=progress)
+        results = run_render_bench(out and fresh(out, force), effort=effort, progress=progress)
     click.echo(table(results))
 
 
-def _folder(out: Path | None, force: bool) -> Path | None:
-    if out is not None and out.exists() and not force:
-        raise UsageError(f"{out} exists already; choose another --out, or replace it with --force")
-    return out
+@click.command(cls=Command)
+@click.option("--out", type=FOLDER, default=Path("demo"), show_default=True, help="Folder for sessions and table.")
+@click.option("--seed", type=int, default=2001, show_default=True, help="Draws the errors of scale and tile.")
+@force_option
+def demo(out: Path, seed: int, force: bool) -> None:
+    """Make sessions on the simulated bench, measure and fit them, and print recovered against published values."""
+    from bssrdf.bench.demo import run_demo
+    from bssrdf.report.progress import stages
+
+    folder = fresh(out, force)
+    with stages("demo", quiet=is_quiet()) as progress:
+        text = run_demo(folder, seed=seed, progress=progress)
+    click.echo(text)

@@ -6,16 +6,23 @@
 from __future__ import annotations
 
 import traceback
-from typing import Any
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, TypeVar
 
 import click
 
-from bssrdf.errors import BssrdfError
+from bssrdf.errors import BssrdfError, UsageError
 
 INTERRUPTED = 130
 BUG = 1
 WRONG_USAGE = 2
 BAD_INPUT = 3
+FLAGGED = 5
+
+Decorated = TypeVar("Decorated", bound=Callable[..., Any])
+FOLDER = click.Path(path_type=Path)
+FILE = click.Path(path_type=Path, dir_okay=False)
 
 
 def _remember(context: click.Context, option: click.Parameter, given: bool) -> None:
@@ -88,3 +95,15 @@ def _failed(arguments: list[str], error: Exception, line: str, code: int) -> int
         traceback.print_exception(error)
     warn(line)
     return code
+
+
+def force_option(command: Decorated) -> Decorated:
+    """The option --force, for commands that write."""
+    return click.option("--force", is_flag=True, help="Replace what stands at the output.")(command)
+
+
+def fresh(path: Path, force: bool) -> Path:
+    """The path to write to; it must not exist, unless it is to be replaced."""
+    if path.exists() and not force:
+        raise UsageError(f"{path} exists already; choose another --out, or replace it with --force")
+    return path

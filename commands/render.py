@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import click
 
 from bssrdf import __version__
-from bssrdf.console import Command, is_quiet, warn
+from bssrdf.commands.console import Command, fresh, is_quiet, warn
 from bssrdf.errors import UsageError
 
 if TYPE_CHECKING:
@@ -131,9 +131,7 @@ def _spoken() -> Iterator[None]:
 
 def _refuse(paths: list[Path], force: bool) -> None:
     for path in paths:
-        if path.exists() and not force:
-            raise UsageError(f"{path} exists already; choose another --out, or replace it with --force")
-        if not path.parent.is_dir():
+        if not fresh(path, force).parent.is_dir():
             raise UsageError(f"{path.parent} is not a folder; make it first, or choose another --out")
 
 

@@ -1,0 +1,52 @@
+"""`bssrdf measure` and `bssrdf views`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from bssrdf.commands.console import FOLDER, Command, is_quiet
+from bssrdf.errors import UsageError
+
+
+@click.command(cls=Command)
+@click.argument("session", type=FOLDER)
+@click.option("--hdr-only", is_flag=True, help="Only merge the brackets; session.toml needs [camera] alone.")
+@click.option("--from-hdr", is_flag=True, help="Start from the images that an earlier run wrote; no frame is read.")
+@click.option("--radial", is_flag=True, help="Average over the whole image instead of a band along the slice.")
+@click.option(
+    "--band-mm", type=click.FloatRange(min=0, min_open=True), help="Width of the band along the slice; else 10 pixels."
+)
+@click.option("--glare", is_flag=True, help="Take an even floor for veiling glare, and subtract it.")
+@click.option(
+    "--hdr-rel-sd",
+    type=click.FloatRange(min=0, min_open=True),
+    help="Relative error of a pixel in images merged elsewhere, instead of their scatter.",
+)
+def measure(session: Path, **options: Any) -> None:
+    """Merge the brackets of SESSION; write HDR images, the slice and the total reflectance into measured/."""
+    if options["from_hdr"] and (options["hdr_only"] or options["hdr_rel_sd"]):
+        raise UsageError("--from-hdr makes no images; leave out --hdr-only and --hdr-rel-sd")
+
+    from bssrdf.measure.session import measure_session
+    from bssrdf.report.measured_text import measured_text
+    from bssrdf.report.progress import steps
+    from bssrdf.session.session_toml import read_session
+
+    with steps(quiet=is_quiet()) as progress:
+        known = read_session(session, complete=not options["hdr_only"])
+        measured = measure_session(known, progress=progress, **options)
+    click.echo(measured_text(measured))
+
+
+@click.command(cls=Command)
+@click.argument("inputs", nargs=-1, required=True, type=FOLDER, metavar="SESSION_OR_SLICE...")
+def views(inputs: tuple[Path, ...]) -> None:
+    """Hold slices of one sample under several view angles against each other: do they follow the exit law?"""
+    from bssrdf.commands.files import slice_file
+    from bssrdf.measure.views import views_text
+    from bssrdf.session.slice_csv import read_slice
+
+    click.echo(views_text([read_slice(slice_file(path)) for path in inputs]))

@@ -1,0 +1,83 @@
+"""`bssrdf init`, `bssrdf ingest` and `bssrdf verify`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from bssrdf.commands.console import BAD_INPUT, FOLDER, Command, force_option, fresh, warn
+
+
+@click.command(cls=Command)
+@click.argument("session", type=FOLDER)
+@force_option
+def init(session: Path, force: bool) -> None:
+    """Make an empty SESSION with a commented session.toml."""
+    from bssrdf.session.session_toml import write_template
+
+    write_template(session, force=force)
+    click.echo(f"{session / 'session.toml'}: fill it in, put frames into frames/ and list them in frames.csv")
+
+
+@click.command(cls=Command)
+@click.argument("folder", type=FOLDER)
+@click.option("--out", type=FOLDER, required=True, metavar="SESSION", help="The session to make.")
+@click.option(
+    "--kind", "kinds", multiple=True, metavar="GLOB=KIND", help="Kind of the files that match; the last match wins."
+)
+@click.option("--select", metavar="TEXT", help="Only light frames with TEXT in their path; darks are kept.")
+@click.option(
+    "--exposure-from",
+    metavar="REGEX_OR_CSV",
+    help="Where exposures stand, instead of metadata and names: a regular expression with one group that finds them in "
+    "the path, or a .csv file with the columns file,exposure_s (and page, for stacks).",
+)
+@click.option("--layout", help='Colour filter pattern such as RGGB, "mono" or "rgb", where the file does not tell.')
+@click.option("--black", type=float, help="DN without light, where the file does not tell.")
+@click.option("--white", type=float, help="DN at saturation, where the file does not tell.")
+@click.option("--response", is_flag=True, help="Take JPEG and PNG as well, and have their response curve fitted.")
+@force_option
+def ingest(
+    folder: Path,
+    out: Path,
+    kinds: tuple[str, ...],
+    select: str | None,
+    exposure_from: str | None,
+    response: bool,
+    force: bool,
+    **camera: Any,
+) -> None:
+    """Copy the RAW, TIFF or other frames of FOLDER into a session; exposures from metadata or from file names."""
+    from bssrdf.session.ingest import ingest_folder
+
+    frames = ingest_folder(
+        folder,
+        fresh(out, force),
+        kinds=kinds,
+        select=select,
+        camera=camera,
+        exposure_from=exposure_from,
+        response=response,
+    )
+    counts = {kind: sum(frame.kind == kind for frame in frames) for kind in sorted({frame.kind for frame in frames})}
+    click.echo(f"{out}: " + ", ".join(f"{n} {kind}" for kind, n in counts.items()))
+    click.echo(
+        f"{out / 'session.toml'}: put in what was measured and with what; `measure --hdr-only` needs [camera] alone"
+    )
+
+
+@click.command(cls=Command)
+@click.argument("session", type=FOLDER)
+def verify(session: Path) -> None:
+    """Look whether SESSION is complete and unchanged: tables, frames, checksums, darks."""
+    from bssrdf.session.verify import verify_session
+
+    verified = verify_session(session)
+    for fault in verified.faults:
+        warn(fault)
+    if verified.faults:
+        click.get_current_context().exit(BAD_INPUT)
+    summed = sum(frame.sha256 is not None for frame in verified.frames)
+    click.echo(f"{session}: complete, {len(verified.frames)} frames, {summed} of them with a checksum that holds")
