@@ -31,7 +31,7 @@ from bssrdf.session.frames_csv import write_frames
 from bssrdf.session.records import Frame, FrameKind
 from bssrdf.session.session_toml import read_session
 from bssrdf.session.slice_csv import read_slice
-from bssrdf.session.toml_text import toml_table
+from bssrdf.session.text_file import toml_table
 
 Array = NDArray[np.float64]
 

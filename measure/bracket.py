@@ -15,10 +15,9 @@ from bssrdf.calib.sensor import master_dark
 from bssrdf.errors import InputError
 from bssrdf.measure.merge import Sample, Shot
 from bssrdf.session.constancy import CONSTANT_KINDS
-from bssrdf.session.exif import filled
 from bssrdf.session.frame_files import read_frame_file
 from bssrdf.session.frames_csv import dark_for
-from bssrdf.session.raw_frame import RawFrame, by_place
+from bssrdf.session.raw_frame import RawFrame, by_place, filled
 from bssrdf.session.records import Camera, Frame, FrameKind
 
 Corrections = Mapping[tuple[str, float], Callable[[Sample], Sample]]

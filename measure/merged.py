@@ -16,7 +16,7 @@ from bssrdf.calib.frame_model import Exposures
 from bssrdf.errors import InputError
 from bssrdf.measure.curve import Timing
 from bssrdf.measure.merge import Hdr
-from bssrdf.session.hdr_exr import read_hdr_exr, write_hdr_exr
+from bssrdf.session.hdr_image import read_hdr_exr, write_hdr_exr
 from bssrdf.session.plain import from_plain, to_plain
 from bssrdf.session.records import Frame, Session
 

@@ -13,9 +13,9 @@ from bssrdf.measure.image import Image, locate, spot_radius_mm
 from bssrdf.measure.merge import Hdr
 from bssrdf.measure.pixels import channel_names
 from bssrdf.session.checks import read_text
-from bssrdf.session.csv_table import parse_csv
 from bssrdf.session.frame_files import read_frame_file
 from bssrdf.session.records import Array, Beam, Geometry
+from bssrdf.session.text_file import parse_csv
 
 _COLUMNS = ("position_mm", "light")
 _NEAR_SATURATION = 0.98

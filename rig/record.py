@@ -17,7 +17,7 @@ from bssrdf.session.checks import parse_toml, read_text
 from bssrdf.session.frames_csv import recover_frames
 from bssrdf.session.records import FORMAT, Frame, Session
 from bssrdf.session.session_toml import write_session
-from bssrdf.session.toml_text import toml_table
+from bssrdf.session.text_file import toml_table
 
 EXPOSURES = "exposures_s"
 

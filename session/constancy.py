@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from bssrdf.errors import BssrdfError, InputError
-from bssrdf.session.exif import filled
 from bssrdf.session.frame_files import read_card
+from bssrdf.session.raw_frame import filled
 from bssrdf.session.records import Card, Frame
 
 CONSTANT_KINDS = ("sample", "reference", "sample_dark", "reference_dark", "dark")

@@ -80,7 +80,7 @@ def _read(path: Path, *, encoded: bool, pixels: bool) -> Iterable[RawFrame]:
 
         return read_png(path)
     if suffix in _FLOAT:
-        from bssrdf.session.linear_image import read_parts
+        from bssrdf.session.hdr_image import read_parts
 
         return [read_parts(path)]
     readers = {**dict.fromkeys(_PNM, read_pnm), **dict.fromkeys(_FITS, read_fits), ".npy": read_npy}
@@ -89,8 +89,8 @@ def _read(path: Path, *, encoded: bool, pixels: bool) -> Iterable[RawFrame]:
 
 def _read_encoded(path: Path, encoded: bool) -> RawFrame:
     """A frame for the fit of a response curve."""
-    from bssrdf.session.exif import exposure_of_tags, label
     from bssrdf.session.oiio_file import read_image
+    from bssrdf.session.raw_frame import exposure_of_tags, label
     from bssrdf.session.tiff_file import without_alpha
 
     if not encoded:

@@ -8,17 +8,16 @@ from collections.abc import Callable, Iterable
 from dataclasses import fields
 from datetime import datetime
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 from bssrdf.errors import InputError
 from bssrdf.session.atomic import atomic_write, inside
 from bssrdf.session.checks import read_text, shown
-from bssrdf.session.csv_table import csv_text, parse_csv
-from bssrdf.session.records import Card, Frame, FrameKind
+from bssrdf.session.records import KINDS, Card, Frame
+from bssrdf.session.text_file import csv_text, parse_csv
 
 _CARD = tuple(field.name for field in fields(Card))
 COLUMNS = (*(field.name for field in fields(Frame) if field.name != "card"), *_CARD)
-KINDS: tuple[str, ...] = get_args(FrameKind)
 SAME_EXPOSURE = 1e-3
 """Relative difference up to which a dark has its frame's exposure."""
 
@@ -122,7 +121,7 @@ def _frame(file: Path, line: int, fields_of_row: dict[str, str]) -> Frame:
     optional = {name: _read(where, name, values[name]) for name in _READERS if values.get(name)}
     return Frame(
         file=values["file"],
-        kind=kind,  # type: ignore[arg-type]  # one of FrameKind, as checked above
+        kind=kind,
         exposure_s=_read(where, "exposure_s", values["exposure_s"]),
         card=Card(**{name: optional.pop(name) for name in _CARD if name in optional}),
         **{name: value for name, value in optional.items() if name != "exposure_s"},

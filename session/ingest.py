@@ -12,11 +12,9 @@ from typing import Any
 from bssrdf.errors import InputError, UsageError
 from bssrdf.session.atomic import make_folder, replace_folder, sha256_of
 from bssrdf.session.constancy import check_constant
-from bssrdf.session.exposure_source import Exposure, exposure_source
-from bssrdf.session.file_names import exposure_from_path
+from bssrdf.session.file_names import Exposure, Rule, exposure_from_path, exposure_source, kind_of, rule_of
 from bssrdf.session.frame_files import ENCODED_SUFFIXES, is_frame_name, read_frames_of
 from bssrdf.session.frames_csv import write_frames
-from bssrdf.session.kinds import Rule, kind_of, rule_of
 from bssrdf.session.png_file import is_deep
 from bssrdf.session.raw_frame import RawFrame
 from bssrdf.session.records import Frame, FrameKind

@@ -1,4 +1,4 @@
-"""PNG of 16 bits whose numbers are linear; what its header says about gamma."""
+"""PNG of 16 bits whose numbers are linear: what its header and an ICC colour profile say about that."""
 
 from __future__ import annotations
 
@@ -6,9 +6,9 @@ import struct
 import zlib
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 from bssrdf.errors import InputError
-from bssrdf.session.icc import is_linear_profile
 from bssrdf.session.raw_frame import RawFrame
 from bssrdf.session.records import Card
 
@@ -73,3 +73,38 @@ def _chunks(content: bytes) -> Iterator[tuple[bytes, bytes]]:
             return
         yield name, content[at + 8 : at + 8 + size]
         at += size + 12
+
+
+_HEADER = 128
+_CURVES = (b"rTRC", b"kTRC")
+_LINEAR_WITHIN = 0.01
+"""Of an exponent, and of a table's middle: 8-bit fixed point rounds to 0.004."""
+
+
+def is_linear_profile(profile: Any) -> bool:
+    """Whether its tone curves are straight; no profile, and one without such a curve, say nothing against it."""
+    if not isinstance(profile, bytes):
+        return True
+    try:
+        (count,) = struct.unpack_from(">I", profile, _HEADER)
+        for i in range(min(count, 100)):
+            name, offset, _ = struct.unpack_from(">4sII", profile, _HEADER + 4 + 12 * i)
+            if name in _CURVES:
+                return _is_straight(profile, offset)
+    except struct.error:
+        return True
+    return True
+
+
+def _is_straight(profile: bytes, offset: int) -> bool:
+    kind = profile[offset : offset + 4]
+    if kind == b"para":
+        (exponent,) = struct.unpack_from(">i", profile, offset + 12)
+        return bool(abs(exponent / 65536 - 1) < _LINEAR_WITHIN)
+    (count,) = struct.unpack_from(">I", profile, offset + 8)
+    if count == 0:
+        return True
+    if count == 1:
+        return bool(abs(struct.unpack_from(">H", profile, offset + 12)[0] / 256 - 1) < _LINEAR_WITHIN)
+    (middle,) = struct.unpack_from(">H", profile, offset + 12 + 2 * (count // 2))
+    return bool(abs(middle / 65535 - (count // 2) / (count - 1)) < _LINEAR_WITHIN)

@@ -11,8 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bssrdf.errors import InputError
-from bssrdf.session.exif import label, positive, real
-from bssrdf.session.raw_frame import MACHINE_VISION_REL_SD, RawFrame
+from bssrdf.session.raw_frame import MACHINE_VISION_REL_SD, RawFrame, label, positive, real
 from bssrdf.session.records import Card
 
 _PNM = re.compile(rb"(P2|P3|P5|P6|Pf|PF)(?:\s+|#[^\n]*\n)+(\d+)(?:\s+|#[^\n]*\n)+(\d+)(?:\s+|#[^\n]*\n)+([-+.\deE]+)\s")

@@ -11,8 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bssrdf.errors import InputError
-from bssrdf.session.exif import card_of_tags, filled, label, positive, time_of_tags
-from bssrdf.session.raw_frame import RawFrame
+from bssrdf.session.raw_frame import RawFrame, card_of_tags, filled, label, positive, time_of_tags
 from bssrdf.session.records import Card
 
 RAW_SUFFIXES = (

@@ -1,13 +1,13 @@
 """What the files of a session hold, as frozen data classes. Lengths in mm, times in s, values of a frame in DN.
 
-Nothing here reads or writes: see `session_toml`, `frames_csv`, `slice_csv`, `fit_json`, `frame_files`, `hdr_exr`.
+Nothing here reads or writes: see `session_toml`, `frames_csv`, `slice_csv`, `fit_json`, `frame_files`, `hdr_image`.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +29,7 @@ FrameKind = Literal[
     "sample_hdr",
     "reference_hdr",
 ]
+KINDS: tuple[FrameKind, ...] = get_args(FrameKind)
 Flux = Literal["incident", "entering"]
 Exit = Literal["hemisphere", "lambertian", "fresnel"]
 Azimuth = Literal["perpendicular", "mean"]

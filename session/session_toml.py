@@ -29,7 +29,7 @@ from bssrdf.session.checks import (
 )
 from bssrdf.session.frames_csv import write_frames
 from bssrdf.session.records import FORMAT, Beam, Camera, Colour, Distortion, Geometry, Material, Reference, Session
-from bssrdf.session.toml_text import toml_table
+from bssrdf.session.text_file import toml_table
 
 Tables = dict[str, dict[str, Any]]
 

@@ -28,10 +28,9 @@ from bssrdf.session.checks import (
     shown,
     text,
 )
-from bssrdf.session.csv_table import csv_text, parse_csv
 from bssrdf.session.records import FORMAT, TOTAL_R_MAX, Array, ChannelSlice, Slice
 from bssrdf.session.slice_units import MM, column_unit, factor, in_mm
-from bssrdf.session.toml_text import toml_table
+from bssrdf.session.text_file import csv_text, parse_csv, toml_table
 
 _NOT_NEGATIVE = number(at_least=0, at_most=1e6)
 _LENGTH = number(at_least=1e-9, at_most=1e6)

@@ -13,10 +13,8 @@ from hypothesis import strategies as st
 from bssrdf.cli import cli
 from bssrdf.commands.console import run
 from bssrdf.errors import InputError, UsageError
-from bssrdf.session.exposure_source import exposure_source
-from bssrdf.session.file_names import exposure_from_name, exposure_from_path, seconds_of
+from bssrdf.session.file_names import exposure_from_name, exposure_from_path, exposure_source, kind_of, seconds_of
 from bssrdf.session.frames_csv import read_frames
-from bssrdf.session.kinds import kind_of
 
 
 @pytest.mark.parametrize(

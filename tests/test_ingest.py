@@ -15,7 +15,7 @@ from bssrdf.commands.console import run
 from bssrdf.errors import InputError, UsageError
 from bssrdf.session.frame_files import read_frame_file
 from bssrdf.session.frames_csv import read_frames
-from bssrdf.session.hdr_exr import read_hdr_exr
+from bssrdf.session.hdr_image import read_hdr_exr
 from bssrdf.session.ingest import ingest_folder
 from bssrdf.session.session_toml import read_session, write_template
 from bssrdf.session.verify import verify_session

@@ -12,7 +12,7 @@ from bssrdf.measure.budget import speckle_rel_sd
 from bssrdf.measure.camera import calibrate_camera
 from bssrdf.measure.session import measure_session
 from bssrdf.session.frames_csv import read_frames, write_frames
-from bssrdf.session.hdr_exr import write_hdr_exr
+from bssrdf.session.hdr_image import write_hdr_exr
 from bssrdf.session.records import Beam, Camera, Frame, Geometry, Material, Reference, Session
 from bssrdf.session.slice_csv import read_slice
 

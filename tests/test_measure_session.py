@@ -11,7 +11,7 @@ import tifffile
 from bssrdf.errors import InputError
 from bssrdf.measure.session import measure_session
 from bssrdf.session.frames_csv import read_frames, write_frames
-from bssrdf.session.hdr_exr import read_hdr_exr
+from bssrdf.session.hdr_image import read_hdr_exr
 from bssrdf.session.records import Beam, Camera, Frame, Geometry, Material, Reference, Session
 from bssrdf.session.slice_csv import read_slice
 

@@ -13,7 +13,7 @@ from bssrdf.errors import InputError
 from bssrdf.session.fit_json import read_fit
 from bssrdf.session.frame_files import read_frame_file, read_linear_image
 from bssrdf.session.frames_csv import dark_for, read_frames
-from bssrdf.session.hdr_exr import read_hdr_exr
+from bssrdf.session.hdr_image import read_hdr_exr
 from bssrdf.session.records import Frame
 from bssrdf.session.session_toml import read_calibration, read_session
 from bssrdf.session.slice_csv import read_slice

@@ -10,8 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from bssrdf.errors import InputError
-from bssrdf.session.frames_csv import KINDS, append_frame, dark_for, read_frames, recover_frames, write_frames
-from bssrdf.session.records import Card, Frame
+from bssrdf.session.frames_csv import append_frame, dark_for, read_frames, recover_frames, write_frames
+from bssrdf.session.records import KINDS, Card, Frame
 
 CARD = Card(
     "Nikon D850", "50mm f/1.8", 100.0, 1.5, 8.0, 50.0, -5.0, "RGGB", 14, (512.0, 513.5, 512.0, 512.0), (16383.0,)

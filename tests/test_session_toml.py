@@ -15,7 +15,7 @@ from bssrdf.errors import InputError, UsageError
 from bssrdf.session.frames_csv import COLUMNS
 from bssrdf.session.records import Beam, Camera, Distortion, Geometry, Material, Reference, Session
 from bssrdf.session.session_toml import TABLES, read_session, write_calibration, write_session, write_template
-from bssrdf.session.toml_text import toml_table
+from bssrdf.session.text_file import toml_table
 
 FULL = Session(
     path=Path(),

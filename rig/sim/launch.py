@@ -19,7 +19,7 @@ from bssrdf.errors import DeviceError
 from bssrdf.rig.sim.command_camera import CURRENTS
 from bssrdf.rig.sim.scene import BRACKET_S, Scene, write_scene
 from bssrdf.rig.sim.world_server import WorldClient
-from bssrdf.session.toml_text import toml_table
+from bssrdf.session.text_file import toml_table
 
 _START_S = 30.0
 _REPLY_S = 0.3
