@@ -27,7 +27,7 @@ from bssrdf.transport.inverse_total import absorption_ratio
 from bssrdf.transport.light import coefficients, dipole
 from bssrdf.transport.materials import CHANNELS, load_materials
 from bssrdf.transport.precision import scoped_x64
-from bssrdf.transport.table_cache import table_model
+from bssrdf.transport.white.store import table_model
 
 ETA = 1.3
 N_RADII = 200

@@ -12,7 +12,7 @@ from bssrdf.transport.dipole import Medium
 from bssrdf.transport.fresnel import exit_norm, fresnel_r
 from bssrdf.transport.precision import scoped_x64
 from bssrdf.transport.single import first_order_total
-from bssrdf.transport.table_cache import table_model
+from bssrdf.transport.white.store import table_model
 
 
 @scoped_x64

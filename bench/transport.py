@@ -77,7 +77,7 @@ def _table_cost() -> dict[str, float]:
 
     from bssrdf.transport.dipole import Medium
     from bssrdf.transport.forward import DipoleModel
-    from bssrdf.transport.table_cache import table_model
+    from bssrdf.transport.white.store import table_model
 
     with jax.enable_x64(True):
         radii = jnp.geomspace(0.05, 12, N_RADII)

@@ -20,7 +20,7 @@ from bssrdf.session.records import Slice
 from bssrdf.transport.arrays import NUMPY
 from bssrdf.transport.incidence import NORMAL
 from bssrdf.transport.light import Light, dipole
-from bssrdf.transport.table_cache import Policy
+from bssrdf.transport.white.store import Policy
 
 BATCH = 256
 """Rows that go through together: more would not fit the caches."""

@@ -11,7 +11,7 @@ from bssrdf.session.records import Slice
 from bssrdf.transport.incidence import NORMAL, Incidence
 from bssrdf.transport.light import Dipole, Light, Table, dipole, table_of
 from bssrdf.transport.parallel import Progress
-from bssrdf.transport.table_cache import Policy, allowed, nearest, place, shipped, table_model
+from bssrdf.transport.white.store import Policy, allowed, nearest, place, shipped, table_model
 
 ModelName = Literal["auto", "dipole", "mc"]
 ASSUMED_G = 0.0

@@ -19,7 +19,7 @@ from bssrdf.fit.solve import REST, Solution, optimise, settle
 from bssrdf.fit.terms import Laid, Neighbours, Plan, Point, Problem, Weights, curve, lay
 from bssrdf.transport.arrays import NUMPY
 from bssrdf.transport.light import Light, Table, coefficients, dipole, shape_of
-from bssrdf.transport.table_grid import R_ZERO, V_MAX
+from bssrdf.transport.white.grid import R_ZERO, V_MAX
 
 Floats = NDArray[np.float64]
 LEAST_RATIO = 0.2

@@ -29,7 +29,7 @@ from bssrdf.fit.verdict import FEWEST, Extra, channel_fits, covariances, inflati
 from bssrdf.session.records import ChannelFit, Slice
 from bssrdf.transport.incidence import NORMAL
 from bssrdf.transport.light import Light, Table, coefficients
-from bssrdf.transport.table_cache import Policy
+from bssrdf.transport.white.store import Policy
 
 OTHER_G = (0.0, 0.35, 0.6, 0.8, 0.9)
 ETA_AWAY = 0.1

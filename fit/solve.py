@@ -28,7 +28,7 @@ from bssrdf.fit.terms import (
 )
 from bssrdf.transport.arrays import Engine
 from bssrdf.transport.light import Light, q_of_total
-from bssrdf.transport.table_grid import R_MAX
+from bssrdf.transport.white.grid import R_MAX
 
 MAX_STEPS = 40
 START_STEPS = 15

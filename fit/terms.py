@@ -27,7 +27,7 @@ from bssrdf.fit.observe import (
 )
 from bssrdf.transport.arrays import Engine
 from bssrdf.transport.light import KNOT_STEP, Light
-from bssrdf.transport.table_grid import R_ZERO
+from bssrdf.transport.white.grid import R_ZERO
 
 Constraint = Literal["exact", "soft", "none"]
 Source = Literal["scale", "length", "spot", "view", "exit", "table", "eta", "g"]

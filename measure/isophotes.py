@@ -22,7 +22,7 @@ from bssrdf.measure.reflectance import Total, blocks_of
 from bssrdf.measure.tail import Surroundings
 from bssrdf.session.records import Array, Session
 from bssrdf.transport.exit_azimuth import second_harmonic
-from bssrdf.transport.table_cache import shipped
+from bssrdf.transport.white.store import shipped
 
 LEAST_VIEW_DEG = 15.0
 """A view nearer to the normal foreshortens by less than 4 %."""

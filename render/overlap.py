@@ -10,7 +10,7 @@ from bssrdf.transport.dipole import Medium
 from bssrdf.transport.materials import CHANNELS
 from bssrdf.transport.precision import scoped_x64
 from bssrdf.transport.single import first_order_total
-from bssrdf.transport.table_cache import table_model
+from bssrdf.transport.white.store import table_model
 
 
 class Overlap(NamedTuple):

@@ -23,7 +23,7 @@ from bssrdf.transport.dipole import Medium
 from bssrdf.transport.engine import MonteCarloMedium, simulate
 from bssrdf.transport.forward import DipoleModel, ForwardModel
 from bssrdf.transport.precision import scoped_x64
-from bssrdf.transport.table_cache import table_model
+from bssrdf.transport.white.store import table_model
 
 PHOTONS = 300_000
 BINS = 40

@@ -14,7 +14,7 @@ from bssrdf.rig.sim.walked_light import walked
 from bssrdf.transport.dipole import Medium
 from bssrdf.transport.forward import ACROSS, WHOLE_CIRCLE
 from bssrdf.transport.photon import reflectance_inside
-from bssrdf.transport.table_cache import table_model
+from bssrdf.transport.white.store import table_model
 
 ALBEDO, ETA = 0.6779, 1.4
 R_EDGES = np.array([0.0, 0.2, 0.4, 0.7, 1.0, 1.5, 2.0, 3.0, 4.0])

@@ -17,7 +17,7 @@ from bssrdf.session.records import ChannelFit, ChannelSlice, Slice
 from bssrdf.transport.arrays import NUMPY
 from bssrdf.transport.light import Light, shape_of, table_of
 from bssrdf.transport.light import dipole as dipole_of
-from bssrdf.transport.table_cache import table_model
+from bssrdf.transport.white.store import table_model
 
 N = 64
 TRUTH = {

@@ -17,7 +17,7 @@ from bssrdf.session.records import ChannelSlice, Slice
 from bssrdf.session.slice_csv import write_slice
 from bssrdf.transport.arrays import NUMPY
 from bssrdf.transport.light import dipole, shape_of, table_of
-from bssrdf.transport.table_cache import table_model
+from bssrdf.transport.white.store import table_model
 
 OPTIONS = FitOptions(model="dipole", constraint="soft")
 MEDIUM = (0.17, 0.88)

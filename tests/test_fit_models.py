@@ -22,7 +22,7 @@ from bssrdf.transport.convention import camera_factor
 from bssrdf.transport.dipole import Medium
 from bssrdf.transport.forward import ACROSS, DipoleModel
 from bssrdf.transport.light import dipole, shape_of
-from bssrdf.transport.table_cache import table_model
+from bssrdf.transport.white.store import table_model
 
 CURVES = {
     "marbleG_g0": (0.0041, 2.62, 1.5, 0.0, 0.799482),

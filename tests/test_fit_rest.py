@@ -24,7 +24,7 @@ from bssrdf.session.records import ChannelSlice, Slice
 from bssrdf.transport.arrays import NUMPY
 from bssrdf.transport.dipole import Medium, rd, total_r
 from bssrdf.transport.light import Table, coefficients
-from bssrdf.transport.table_grid import R_ZERO, V_MAX
+from bssrdf.transport.white.grid import R_ZERO, V_MAX
 
 PLAIN = Options("soft", scale_free=False, robust=False, window_mm=None, tables="shipped")
 

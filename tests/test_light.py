@@ -15,7 +15,7 @@ from bssrdf.transport.dipole import Medium
 from bssrdf.transport.forward import Azimuths, DipoleModel
 from bssrdf.transport.light import Light, boundary_a, coefficients, dipole, exit_norm, q_of_total, shape_of, table_of
 from bssrdf.transport.light import transmittance as ft
-from bssrdf.transport.table_cache import table_model
+from bssrdf.transport.white.store import table_model
 
 MODELS = {
     "dipole": (dipole(1.5), DipoleModel(1.5)),

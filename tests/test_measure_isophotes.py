@@ -15,7 +15,7 @@ from bssrdf.measure.session import measure_session
 from bssrdf.session.records import Slice
 from bssrdf.session.session_toml import read_session
 from bssrdf.transport.exit_azimuth import second_harmonic
-from bssrdf.transport.table_cache import shipped
+from bssrdf.transport.white.store import shipped
 
 GEOMETRY = {"aspect_off", "view_angle_off", "anisotropic", "geometry_unchecked"}
 

@@ -10,7 +10,7 @@ from bssrdf.report import validation
 from bssrdf.report.validation import validate
 from bssrdf.session.records import ChannelFit, ChannelSlice, Fit, Slice
 from bssrdf.transport.dipole import Medium
-from bssrdf.transport.table_cache import table_model
+from bssrdf.transport.white.store import table_model
 
 SIGMA_A, SIGMA_SP, ETA = 0.4, 1.0, 1.3
 

@@ -10,15 +10,15 @@ import pytest
 import scipy.optimize
 
 from bssrdf.errors import InputError
-from bssrdf.transport import table_grid as grid
 from bssrdf.transport.dipole import Medium
 from bssrdf.transport.discrete_ordinates import half_space
 from bssrdf.transport.engine import MonteCarloMedium, simulate
 from bssrdf.transport.forward import WHOLE_CIRCLE, ForwardModel
 from bssrdf.transport.single import first_order_bin_average
-from bssrdf.transport.table_cache import shipped, table_model
-from bssrdf.transport.table_set import lagrange
-from bssrdf.transport.white_samples import Walk
+from bssrdf.transport.white import grid
+from bssrdf.transport.white.archive import lagrange
+from bssrdf.transport.white.samples import Walk
+from bssrdf.transport.white.store import shipped, table_model
 
 DATA = Path(__file__).parent.parent.parent / "shared" / "data" / "mc"
 CURVES = [
@@ -160,7 +160,7 @@ def test_the_longest_paths_are_continued_as_diffusing_light(eta, g):
 def test_the_depth_of_the_first_jump_does_not_matter(g, monkeypatch):
     import threading
 
-    from bssrdf.transport import white_samples
+    from bssrdf.transport.white import samples as white_samples
 
     def curve(depth, margin, seed):
         monkeypatch.setattr(white_samples, "JUMP_DEPTH", depth)

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bssrdf.transport.exit_radiance import DEGREE, across_basis, shape_basis
-from bssrdf.transport.table_grid import N_U_COARSE, N_V_COARSE, R_MAX, R_ZERO, U_MAX, V_MAX, basis, u_of
-from bssrdf.transport.table_set import TableSet, lagrange
+from bssrdf.transport.white.archive import TableSet, lagrange
+from bssrdf.transport.white.grid import N_U_COARSE, N_V_COARSE, R_MAX, R_ZERO, U_MAX, V_MAX, basis, u_of
 
 Floats = NDArray[np.float64]
 

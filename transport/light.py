@@ -12,7 +12,7 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 
 from bssrdf.transport.arrays import Engine
-from bssrdf.transport.table_grid import Q_MAX, Q_ZERO, R_MAX, R_ZERO, RHO_ZERO, U_MAX, V_MAX, W_MAX
+from bssrdf.transport.white.grid import Q_MAX, Q_ZERO, R_MAX, R_ZERO, RHO_ZERO, U_MAX, V_MAX, W_MAX
 
 SMALLEST_Q = 1e-12
 """In place of 0, where √ has no slope; σa/σt′ is then 3e-25."""

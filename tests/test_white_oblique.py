@@ -11,7 +11,7 @@ from bssrdf.errors import InputError
 from bssrdf.transport.dipole import Medium
 from bssrdf.transport.engine import Beam, MonteCarloMedium, simulate
 from bssrdf.transport.incidence import Incidence
-from bssrdf.transport.table_cache import place, table_model
+from bssrdf.transport.white.store import place, table_model
 
 ETA, G, ANGLE = 1.4, 0.6, 50.0
 SIGMA_A, SIGMA_SP = 0.3, 1.0

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from bssrdf.errors import InputError
-from bssrdf.transport import table_cache
 from bssrdf.transport.dipole import Medium
 from bssrdf.transport.discrete_ordinates import half_space
-from bssrdf.transport.table_cache import allowed, nearest, place, shipped, table_model
-from bssrdf.transport.table_set import TableSet, read_tables, write_tables
+from bssrdf.transport.white import store
+from bssrdf.transport.white.archive import TableSet, read_tables, write_tables
+from bssrdf.transport.white.store import allowed, nearest, place, shipped, table_model
 
 
 @pytest.fixture(scope="module")
@@ -24,7 +24,7 @@ def folder(tmp_path_factory):
 def made(folder):
     told = []
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(table_cache, "SEED", 5)
+        patch.setattr(store, "SEED", 5)
         model = table_model(1.6, -0.2, directory=folder, core_seconds=3.0, announce=told.append)
     [path] = folder.iterdir()
     return model, path, told
@@ -32,7 +32,7 @@ def made(folder):
 
 def test_a_table_made_on_demand_is_announced_and_right(made):
     model, _, told = made
-    assert told == [pytest.approx(table_cache.seconds_to_make(3.0))]
+    assert told == [pytest.approx(store.seconds_to_make(3.0))]
     with jax.enable_x64(True):
         medium = Medium(0.1, 0.9, 1.6)
         exact = half_space(0.9 / 1.2 / (0.9 / 1.2 + 0.1), -0.2, 1.6, np.array([1.0])).total
@@ -99,10 +99,10 @@ def test_a_writer_that_is_killed_leaves_no_table(tmp_path):
 import os, signal
 from pathlib import Path
 import numpy as np
-from bssrdf.transport import table_set
-from bssrdf.transport.table_cache import shipped
+from bssrdf.transport.white import archive
+from bssrdf.transport.white.store import shipped
 os.fsync = lambda fd: os.kill(os.getpid(), signal.SIGKILL)
-table_set.write_tables(Path({str(tmp_path / "white.npz")!r}), shipped())
+archive.write_tables(Path({str(tmp_path / "white.npz")!r}), shipped())
 """
     assert subprocess.run([sys.executable, "-c", script], check=False).returncode == -9
     assert not (tmp_path / "white.npz").exists()
@@ -130,7 +130,7 @@ def test_a_table_is_placed_where_table_model_would_take_it_from(made, folder, tm
     assert place(1.37, 0.5).origin == "shipped"
     assert place(1.6, -0.2, directory=folder) == ("cached", 1.6, -0.2, 0.0, False)
     elsewhere = place(1.6, -0.2, directory=tmp_path)
-    assert (elsewhere.origin, elsewhere.seconds) == ("made", table_cache.seconds_to_make())
+    assert (elsewhere.origin, elsewhere.seconds) == ("made", store.seconds_to_make())
     assert list(tmp_path.iterdir()) == []
 
 
@@ -156,7 +156,7 @@ def test_the_nearest_table_is_a_shipped_one_or_one_made_before(made, folder, tmp
 
 
 def test_beyond_a_fifth_in_eta_or_three_tenths_in_g_no_table_is_near(tmp_path):
-    last = max(load().etas[-1] for load in table_cache.SHIPPED)
+    last = max(load().etas[-1] for load in store.SHIPPED)
     assert nearest(last + 0.19, 0.5, directory=tmp_path).near
     assert not nearest(last + 0.21, 0.5, directory=tmp_path).near
     assert nearest(1.4, shipped().gs[0] - 0.29, directory=tmp_path).near

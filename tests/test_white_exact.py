@@ -13,12 +13,12 @@ from bssrdf.transport.dipole import Medium
 from bssrdf.transport.discrete_ordinates import N_MOMENTS, decay_constants, half_spaces
 from bssrdf.transport.incidence import NORMAL, Incidence, once_scattered
 from bssrdf.transport.single import first_order_rd, first_order_total
-from bssrdf.transport.table_cache import place, shipped, shipped_wide, table_model
-from bssrdf.transport.table_grid import N_W_CELLS, RHO_ZERO, W_MAX, albedo_of, by_cell, interpolating, q_nodes
+from bssrdf.transport.white.grid import N_W_CELLS, RHO_ZERO, W_MAX, albedo_of, by_cell, interpolating, q_nodes
+from bssrdf.transport.white.store import place, shipped, shipped_wide, table_model
 
 SCRIPT = """
 import sys
-from bssrdf.transport.table_cache import table_model
+from bssrdf.transport.white.store import table_model
 model = table_model(1.37, 0.13)
 assert model.log_curve.shape[1] == 4
 print(*sorted(name for name in ("jax", "scipy", "numba", "matplotlib") if name in sys.modules))

@@ -18,7 +18,7 @@ from bssrdf.transport.forward import Azimuths
 from bssrdf.transport.fresnel import fresnel_t
 from bssrdf.transport.precision import Real
 from bssrdf.transport.single import phase_hg
-from bssrdf.transport.table_grid import (
+from bssrdf.transport.white.grid import (
     N_U_CELLS,
     N_U_COARSE,
     Q_MAX,
@@ -30,7 +30,7 @@ from bssrdf.transport.table_grid import (
     V_MAX,
     W_MAX,
 )
-from bssrdf.transport.table_model import TableModel
+from bssrdf.transport.white.model import TableModel
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(12)
 

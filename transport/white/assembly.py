@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from bssrdf.transport.discrete_ordinates import half_spaces
 from bssrdf.transport.exit_radiance import DEGREE, shape_basis
 from bssrdf.transport.incidence import NORMAL, Incidence, once_scattered
-from bssrdf.transport.table_grid import (
+from bssrdf.transport.white.grid import (
     N_U_CELLS,
     N_V_CELLS,
     N_W_CELLS,
@@ -30,7 +30,7 @@ from bssrdf.transport.table_grid import (
     log_decay,
     q_nodes,
 )
-from bssrdf.transport.table_model import TableModel
+from bssrdf.transport.white.model import TableModel
 
 Floats = NDArray[np.float64]
 

@@ -14,11 +14,11 @@ from threadpoolctl import threadpool_limits
 
 from bssrdf.errors import InputError
 from bssrdf.transport.incidence import NORMAL, Incidence
-from bssrdf.transport.table_assembly import assemble
-from bssrdf.transport.table_model import TableModel
+from bssrdf.transport.white.assembly import assemble
+from bssrdf.transport.white.model import TableModel
 
 if TYPE_CHECKING:
-    from bssrdf.transport.table_fit import FittedTable
+    from bssrdf.transport.white.smooth import FittedTable
 
 Floats = NDArray[np.float64]
 

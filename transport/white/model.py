@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from bssrdf.transport.table_grid import Q_MAX, R_MAX
+from bssrdf.transport.white.grid import Q_MAX, R_MAX
 
 if TYPE_CHECKING:
     from jaxtyping import Array, Float
@@ -65,30 +65,30 @@ class TableModel(NamedTuple):
 
     def rd(self, medium: Medium, r: Real) -> Float[Array, "..."]:
         """R_d(r) [1/mm²]; raises InputError outside the table where the values are known."""
-        from bssrdf.transport import table_light
+        from bssrdf.transport.white import light as table_light
 
         return table_light.rd(self, medium, r)
 
     def bin_average(self, medium: Medium, r_lo: Real, r_hi: Real) -> Float[Array, "..."]:
         """Mean of R_d over the annulus [r_lo, r_hi], weighted by r dr."""
-        from bssrdf.transport import table_light
+        from bssrdf.transport.white import light as table_light
 
         return table_light.bin_average(self, medium, r_lo, r_hi)
 
     def total(self, medium: Medium) -> Float[Array, "..."]:
         """Total diffuse reflectance."""
-        from bssrdf.transport import table_light
+        from bssrdf.transport.white import light as table_light
 
         return table_light.total(self, medium)
 
     def radiance(self, medium: Medium, r: Real, mu: Real, azimuths: Azimuths) -> Float[Array, "..."]:
         """π L [1/mm²] at radius r > 0 towards the outside cosine `mu`, a mean over `azimuths`."""
-        from bssrdf.transport import table_light
+        from bssrdf.transport.white import light as table_light
 
         return table_light.radiance(self, medium, r, mu, azimuths)
 
     def total_radiance_factor(self, medium: Medium, mu: Real) -> Float[Array, "..."]:
         """π L/R over the whole surface towards the outside cosine `mu`: 1 for a Lambertian surface."""
-        from bssrdf.transport import table_light
+        from bssrdf.transport.white import light as table_light
 
         return table_light.total_radiance_factor(self, medium, mu)

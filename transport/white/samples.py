@@ -19,8 +19,8 @@ from bssrdf.transport.exit_radiance import N_MU
 from bssrdf.transport.incidence import NORMAL, Incidence
 from bssrdf.transport.parallel import Progress, run_all
 from bssrdf.transport.photon import stream_states
-from bssrdf.transport.table_grid import R_ZERO, V_MAX, albedo_of, q_nodes
-from bssrdf.transport.white_walk import COARSE, white_walk
+from bssrdf.transport.white.grid import R_ZERO, V_MAX, albedo_of, q_nodes
+from bssrdf.transport.white.walk import COARSE, white_walk
 
 Floats = NDArray[np.float64]
 

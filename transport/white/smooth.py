@@ -17,7 +17,7 @@ from scipy import sparse
 from scipy.linalg import cho_factor, cho_solve
 
 from bssrdf.transport.exit_radiance import share_to_coefficients
-from bssrdf.transport.table_grid import (
+from bssrdf.transport.white.grid import (
     N_Q,
     N_U_CELLS,
     N_U_COARSE,
@@ -33,8 +33,8 @@ from bssrdf.transport.table_grid import (
     q_nodes,
     u_of,
 )
-from bssrdf.transport.white_samples import N_R, WhiteSamples, radius_of_bin_edges
-from bssrdf.transport.white_walk import COARSE
+from bssrdf.transport.white.samples import N_R, WhiteSamples, radius_of_bin_edges
+from bssrdf.transport.white.walk import COARSE
 
 Floats = NDArray[np.float64]
 

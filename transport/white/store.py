@@ -16,8 +16,8 @@ import platformdirs
 from bssrdf.errors import InputError
 from bssrdf.transport.incidence import NORMAL, Incidence
 from bssrdf.transport.parallel import Progress
-from bssrdf.transport.table_model import TableModel
-from bssrdf.transport.table_set import TableSet, read_tables, table_set, write_tables
+from bssrdf.transport.white.archive import TableSet, read_tables, table_set, write_tables
+from bssrdf.transport.white.model import TableModel
 
 ETA_RANGE = (1.0, 3.0)
 G_RANGE = (-0.9, 0.95)
@@ -153,7 +153,7 @@ def _shipped_set(eta: float, g: float, beam: Incidence = NORMAL) -> TableSet | N
 
 
 def _packaged(name: str) -> TableSet:
-    with as_file(files("bssrdf.transport") / "tables" / name) as path:
+    with as_file(files("bssrdf.transport.white") / "tables" / name) as path:
         return read_tables(path)
 
 
@@ -181,8 +181,8 @@ def _own(
     if not path.exists():
         if announce is not None:
             announce(seconds_to_make(core_seconds))
-        from bssrdf.transport.table_fit import fit_tables
-        from bssrdf.transport.white_samples import sample
+        from bssrdf.transport.white.samples import sample
+        from bssrdf.transport.white.smooth import fit_tables
 
         samples = sample(g, np.array([eta]), core_seconds, seed=SEED, beam=beam, progress=progress)
         path.parent.mkdir(parents=True, exist_ok=True)
