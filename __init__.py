@@ -16,7 +16,7 @@ _HOME = {
     "fit_slice": "bssrdf.fit.run",
     "fit_slices": "bssrdf.fit.run",
     "load_materials": "bssrdf.transport.materials",
-    "measure_session": "bssrdf.measure.session",
+    "measure_session": "bssrdf.measure",
     "read_fit": "bssrdf.session.fit_json",
     "read_session": "bssrdf.session.session_toml",
     "read_slice": "bssrdf.session.slice_csv",
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from bssrdf.fit.run import FitOptions as FitOptions
     from bssrdf.fit.run import fit_slice as fit_slice
     from bssrdf.fit.run import fit_slices as fit_slices
-    from bssrdf.measure.session import measure_session as measure_session
+    from bssrdf.measure import measure_session as measure_session
     from bssrdf.session.fit_json import read_fit as read_fit
     from bssrdf.session.session_toml import read_session as read_session
     from bssrdf.session.slice_csv import read_slice as read_slice

@@ -16,13 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bssrdf.bench.frame_faults import FAULTS, currents, scene, session_of, write_session
-from bssrdf.calib.frame_model import Exposures
-from bssrdf.calib.surface import Surface
+from bssrdf.calib import Exposures, Surface
 from bssrdf.errors import InputError
-from bssrdf.measure.curve import Options, measure_slice
-from bssrdf.measure.image import Image
-from bssrdf.measure.merge import Hdr
-from bssrdf.measure.session import measure_session
+from bssrdf.measure import Hdr, Image, Options, measure_session, measure_slice
 from bssrdf.session.records import Camera, ChannelSlice, Slice
 
 Array = NDArray[np.float64]

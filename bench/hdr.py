@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from bssrdf.bench.hdr_peers import METHODS, Timed
 from bssrdf.bench.hdr_scene import DECADES, Plane, bound, make_scene
-from bssrdf.measure.merge import Hdr, Progress
+from bssrdf.measure import Hdr, Progress
 
 _MOST_SECONDS = 3.0
 """A method that takes longer is run once."""

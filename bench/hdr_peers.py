@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bssrdf.bench.hdr_scene import EXPOSURES_S, SENSOR, WHITE_DN, Plane, Scene
-from bssrdf.measure.merge import Hdr, merge
+from bssrdf.measure import Hdr, merge
 from bssrdf.rig.sim.raw_files import dng_bytes
 from bssrdf.rig.sim.sensor import Sensor
 

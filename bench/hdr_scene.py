@@ -8,8 +8,8 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from bssrdf.calib.sensor import Sensor
-from bssrdf.measure.merge import Sample, Shot
+from bssrdf.calib import Sensor
+from bssrdf.measure import Sample, Shot
 
 Plane = NDArray[np.float32]
 

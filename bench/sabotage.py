@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from bssrdf.errors import InputError
 from bssrdf.fit.run import FitOptions, fit_slices
-from bssrdf.measure.session import measure_session
+from bssrdf.measure import measure_session
 from bssrdf.rig.sim.picture import View, picture
 from bssrdf.rig.sim.raw_files import dng_bytes
 from bssrdf.rig.sim.samples import published_sample, white_tile

@@ -1,0 +1,96 @@
+"""What calibrates a picture: counts to light, pixels to mm, colours.
+
+The names below are imported when first used.
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+_HOME = {
+    "knife_edge_radius": "beam_radius",
+    "radius_on_tile": "beam_radius",
+    "calibrate_colour": "colour",
+    "pile_up_dn": "counts",
+    "plateau_dn": "counts",
+    "step_dn": "counts",
+    "Comparison": "exposures",
+    "comparable": "exposures",
+    "compared": "exposures",
+    "least_signal": "exposures",
+    "rough_log_ratio": "exposures",
+    "signal_weight": "exposures",
+    "Exposed": "frame_model",
+    "Exposures": "frame_model",
+    "FrameModel": "frame_model",
+    "leak_of": "frame_model",
+    "solve_frames": "frame_model",
+    "calibrate_geometry": "geometry",
+    "Monotone": "monotone",
+    "Gain": "photon_transfer",
+    "clipped_variance": "photon_transfer",
+    "pair_gain": "photon_transfer",
+    "read_noise_dn": "photon_transfer",
+    "thinned": "photon_transfer",
+    "shift_between": "registration",
+    "Response": "response",
+    "fit_response": "response",
+    "BEND_PIVOT": "sensor",
+    "Sensor": "sensor",
+    "by_row": "sensor",
+    "master_dark": "sensor",
+    "rows_of": "sensor",
+    "Spot": "spot",
+    "find_spot": "spot",
+    "Surface": "surface",
+    "Target": "target",
+}
+
+if TYPE_CHECKING:
+    from bssrdf.calib.beam_radius import knife_edge_radius as knife_edge_radius
+    from bssrdf.calib.beam_radius import radius_on_tile as radius_on_tile
+    from bssrdf.calib.colour import calibrate_colour as calibrate_colour
+    from bssrdf.calib.counts import pile_up_dn as pile_up_dn
+    from bssrdf.calib.counts import plateau_dn as plateau_dn
+    from bssrdf.calib.counts import step_dn as step_dn
+    from bssrdf.calib.exposures import Comparison as Comparison
+    from bssrdf.calib.exposures import comparable as comparable
+    from bssrdf.calib.exposures import compared as compared
+    from bssrdf.calib.exposures import least_signal as least_signal
+    from bssrdf.calib.exposures import rough_log_ratio as rough_log_ratio
+    from bssrdf.calib.exposures import signal_weight as signal_weight
+    from bssrdf.calib.frame_model import Exposed as Exposed
+    from bssrdf.calib.frame_model import Exposures as Exposures
+    from bssrdf.calib.frame_model import FrameModel as FrameModel
+    from bssrdf.calib.frame_model import leak_of as leak_of
+    from bssrdf.calib.frame_model import solve_frames as solve_frames
+    from bssrdf.calib.geometry import calibrate_geometry as calibrate_geometry
+    from bssrdf.calib.monotone import Monotone as Monotone
+    from bssrdf.calib.photon_transfer import Gain as Gain
+    from bssrdf.calib.photon_transfer import clipped_variance as clipped_variance
+    from bssrdf.calib.photon_transfer import pair_gain as pair_gain
+    from bssrdf.calib.photon_transfer import read_noise_dn as read_noise_dn
+    from bssrdf.calib.photon_transfer import thinned as thinned
+    from bssrdf.calib.registration import shift_between as shift_between
+    from bssrdf.calib.response import Response as Response
+    from bssrdf.calib.response import fit_response as fit_response
+    from bssrdf.calib.sensor import BEND_PIVOT as BEND_PIVOT
+    from bssrdf.calib.sensor import Sensor as Sensor
+    from bssrdf.calib.sensor import by_row as by_row
+    from bssrdf.calib.sensor import master_dark as master_dark
+    from bssrdf.calib.sensor import rows_of as rows_of
+    from bssrdf.calib.spot import Spot as Spot
+    from bssrdf.calib.spot import find_spot as find_spot
+    from bssrdf.calib.surface import Surface as Surface
+    from bssrdf.calib.target import Target as Target
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOME:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(importlib.import_module(f"{__name__}.{_HOME[name]}"), name)
+
+
+def __dir__() -> list[str]:
+    return sorted(_HOME)

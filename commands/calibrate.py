@@ -28,7 +28,7 @@ def calibrate() -> None:
 @FORCE
 def camera(session: Path, out: Path, force: bool) -> None:
     """Gain, read noise and saturation from the brackets and darks of SESSION."""
-    from bssrdf.measure.camera import calibrate_camera
+    from bssrdf.measure import calibrate_camera
     from bssrdf.report.progress import steps
     from bssrdf.session.session_toml import read_session
 
@@ -67,8 +67,7 @@ def geometry(
     force: bool,
 ) -> None:
     """Pixels to mm and lens distortion from IMAGES of a target on the sample's plane; the first one gives the map."""
-    from bssrdf.calib.geometry import calibrate_geometry
-    from bssrdf.calib.target import Target
+    from bssrdf.calib import Target, calibrate_geometry
 
     target = Target(columns, rows, pitch_mm, kind=kind, dictionary=dictionary)
     found = calibrate_geometry(images, target, layout)
@@ -89,7 +88,7 @@ def geometry(
 @FORCE
 def colour(image: Path, layout: str | None, black: float | None, out: Path, force: bool) -> None:
     """Camera RGB to linear sRGB from an IMAGE of a 24-patch chart, for display; fits stay in camera channels."""
-    from bssrdf.calib.colour import calibrate_colour
+    from bssrdf.calib import calibrate_colour
     from bssrdf.session.records import Camera
 
     found = calibrate_colour(image, Camera(layout=layout, black=black))
@@ -118,7 +117,7 @@ def spot(
 
     A knife edge is a CSV table of position_mm, light.
     """
-    from bssrdf.measure.spot_image import radius_of_edge, radius_on_target
+    from bssrdf.measure import radius_of_edge, radius_on_target
     from bssrdf.session.records import Geometry
 
     if path.suffix.lower() == ".csv":

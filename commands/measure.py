@@ -30,7 +30,7 @@ def measure(session: Path, **options: Any) -> None:
     if options["from_hdr"] and (options["hdr_only"] or options["hdr_rel_sd"]):
         raise UsageError("--from-hdr makes no images; leave out --hdr-only and --hdr-rel-sd")
 
-    from bssrdf.measure.session import measure_session
+    from bssrdf.measure import measure_session
     from bssrdf.report.measured_text import measured_text
     from bssrdf.report.progress import steps
     from bssrdf.session.session_toml import read_session
@@ -46,7 +46,7 @@ def measure(session: Path, **options: Any) -> None:
 def views(inputs: tuple[Path, ...]) -> None:
     """Hold slices of one sample under several view angles against each other: do they follow the exit law?"""
     from bssrdf.commands.files import slice_file
-    from bssrdf.measure.views import views_text
+    from bssrdf.report.views import views_text
     from bssrdf.session.slice_csv import read_slice
 
     click.echo(views_text([read_slice(slice_file(path)) for path in inputs]))

@@ -10,15 +10,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bssrdf.calib.response import Response
-from bssrdf.calib.sensor import master_dark
+from bssrdf.calib import Response, fit_response, master_dark
 from bssrdf.errors import InputError
-from bssrdf.measure.merge import Sample, Shot
+from bssrdf.measure.hdr import Sample, Shot
 from bssrdf.session.constancy import CONSTANT_KINDS
 from bssrdf.session.frame_files import read_frame_file
 from bssrdf.session.frames_csv import dark_for
 from bssrdf.session.raw_frame import RawFrame, by_place, filled
-from bssrdf.session.records import Camera, Frame, FrameKind
+from bssrdf.session.records import Camera, Frame, FrameKind, Session
 
 Corrections = Mapping[tuple[str, float], Callable[[Sample], Sample]]
 
@@ -162,3 +161,19 @@ def _mean_black(raw: RawFrame) -> float | None:
 
 def _size(data: np.ndarray) -> str:
     return " x ".join(str(n) for n in (data.shape[1], data.shape[0], *data.shape[2:])) + " values"
+
+
+def session_response(session: Session, frames: Sequence[Frame]) -> Response | None:
+    """The response curve that the brackets of the session show, None unless its [camera] asks for one."""
+    if session.camera.response is None:
+        return None
+    kind = "sample" if any(frame.kind == "sample" for frame in frames) else "reference"
+    bracket = {frame.exposure_s: frame for frame in frames if frame.kind == kind}
+    labels = sorted(bracket)
+    images = []
+    for label in labels:
+        path = session.path / bracket[label].file
+        images.append(read_frame_file(path, encoded=True).data)
+        if images[-1].dtype != np.uint8 or images[-1].shape != images[0].shape:
+            raise InputError(f"{path}: is no 8-bit image of the first one's size; take response out of [camera]")
+    return fit_response(images, labels)

@@ -7,10 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from bssrdf.calib.photon_transfer import read_noise_dn, thinned
-from bssrdf.calib.quantisation import step_dn
-from bssrdf.calib.saturation import pile_up_dn
-from bssrdf.calib.sensor import Sensor
+from bssrdf.calib import Sensor, pile_up_dn, read_noise_dn, step_dn, thinned
 from bssrdf.measure.bracket import Bracket
 from bssrdf.measure.pixels import mosaic_period, places
 from bssrdf.session.records import Camera

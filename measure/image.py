@@ -9,11 +9,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from bssrdf.calib.spot import Spot, find_spot
-from bssrdf.calib.surface import Surface
-from bssrdf.calib.tile_spread import beam_radius
+from bssrdf.calib import Spot, Surface, find_spot, radius_on_tile
 from bssrdf.errors import InputError
-from bssrdf.measure.merge import SATURATED, Hdr
+from bssrdf.measure.hdr import SATURATED, Hdr
 from bssrdf.measure.pixels import grids_of, mosaic_period
 from bssrdf.measure.pyramid import Blocks, Pyramid
 from bssrdf.measure.tail import Estimate
@@ -179,7 +177,7 @@ def beam_on_tile(image: Image, spot: Spot, view_angle_deg: float) -> Estimate:
             continue
         near = image.window(channel, centre, _CORE_REACH * core / min(footprint), k)
         across, along = image.surface.centred(near.x_px, near.y_px, centre)
-        found.append(beam_radius(across, along, near.value, near.variance, block, core, view_angle_deg))
+        found.append(radius_on_tile(across, along, near.value, near.variance, block, core, view_angle_deg))
     if not found:
         return Estimate(core, core)
     weights = np.array([each.sd_mm**-2 for each in found])

@@ -14,8 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bssrdf.calib.spot import Spot
-from bssrdf.calib.surface import Surface
+from bssrdf.calib import Spot, Surface
 from bssrdf.errors import InputError
 from bssrdf.measure.image import Image
 from bssrdf.measure.reflectance import Total, blocks_of

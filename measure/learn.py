@@ -8,19 +8,31 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from bssrdf.calib.exposures import Comparison, comparable, compared, rough_log_ratio, signal_weight
-from bssrdf.calib.frame_model import Exposed, Exposures, FrameModel, leak_of, solve_frames
-from bssrdf.calib.photon_transfer import Gain, clipped_variance, pair_gain, thinned
-from bssrdf.calib.registration import shift_between
-from bssrdf.calib.saturation import plateau_dn
-from bssrdf.calib.sensor import Sensor
+from bssrdf.calib import (
+    Comparison,
+    Exposed,
+    Exposures,
+    FrameModel,
+    Gain,
+    Sensor,
+    clipped_variance,
+    comparable,
+    compared,
+    leak_of,
+    pair_gain,
+    plateau_dn,
+    rough_log_ratio,
+    shift_between,
+    signal_weight,
+    solve_frames,
+    thinned,
+)
 from bssrdf.errors import InputError
-from bssrdf.measure.blunders import check_light
 from bssrdf.measure.bracket import Bracket
-from bssrdf.measure.correction import Correction
 from bssrdf.measure.first_look import MARGIN, first_guess
-from bssrdf.measure.levels import Level, beside, levels_of
-from bssrdf.measure.merge import Progress
+from bssrdf.measure.frame_checks import check_light
+from bssrdf.measure.hdr import Progress
+from bssrdf.measure.levels import Correction, Level, beside, levels_of
 from bssrdf.measure.pixels import places
 from bssrdf.session.records import Camera
 

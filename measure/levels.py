@@ -11,12 +11,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from bssrdf.calib.exposures import least_signal
-from bssrdf.calib.photon_transfer import Gain, pair_gain
-from bssrdf.calib.sensor import Sensor
+from bssrdf.calib import Gain, Sensor, by_row, least_signal, pair_gain, rows_of
 from bssrdf.errors import InputError
 from bssrdf.measure.bracket import Bracket
-from bssrdf.measure.merge import Sample, Shot, read_ahead
+from bssrdf.measure.hdr import Sample, Shot, read_ahead
 
 _DARKER_SD = 5.0
 _LEAST_FLUX_PIXELS = 100
@@ -135,3 +133,22 @@ def _check_brighter_than_dark(shot: Shot, signal: NDArray[np.float32], noise_dn:
             f"{shot.name}: its dark frame is brighter than the frame, by {-middle:.4g} DN in the median; "
             "check that the two were not exchanged, and that the dark has the same exposure"
         )
+
+
+@dataclass(frozen=True)
+class Correction:
+    """What a frame's dark does not take away, by place in a cell of the mosaic or by channel."""
+
+    offset_dn: tuple[float, ...]
+    """Black that moved between the frame and its dark."""
+    leak_dn: tuple[float, ...]
+    """What pixels beside saturated ones get more."""
+    sensor: Sensor | None = None
+
+    def __call__(self, sample: Sample) -> Sample:
+        """The frame with its dark put right."""
+        dark: NDArray[np.float32] = by_row(np.add, sample.dark, rows_of(self.offset_dn, sample.raw.shape))
+        if self.sensor and any(self.leak_dn):
+            leak = by_row(np.add, np.zeros(dark.shape, np.float32), rows_of(self.leak_dn, dark.shape))
+            dark += leak * beside(~self.sensor.unsaturated(sample.raw))
+        return sample._replace(dark=dark)

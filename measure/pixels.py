@@ -7,7 +7,7 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from bssrdf.measure.merge import Hdr, Plane
+from bssrdf.measure.hdr import Hdr, Plane
 from bssrdf.session.records import Beam
 
 

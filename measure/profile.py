@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bssrdf.calib.monotone import Monotone
+from bssrdf.calib import Monotone
 
 Array = NDArray[np.float64]
 

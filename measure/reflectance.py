@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from bssrdf.calib.spot import Spot
+from bssrdf.calib import Spot
 from bssrdf.errors import InputError
 from bssrdf.measure.image import Image
 from bssrdf.measure.pixels import mosaic_period

@@ -9,21 +9,18 @@ from pathlib import Path
 from typing import Any
 
 import bssrdf
-from bssrdf.calib.frame_model import Exposures
-from bssrdf.calib.surface import Surface
+from bssrdf.calib import Exposures, Surface
 from bssrdf.errors import InputError
-from bssrdf.measure.bracket import Bracket, bracket_of, camera_of, layout_of
-from bssrdf.measure.curve import Options, Timing, measure_slice
-from bssrdf.measure.elsewhere import read_elsewhere
-from bssrdf.measure.encoded import session_response
-from bssrdf.measure.flat import flattened
+from bssrdf.measure.bracket import Bracket, bracket_of, camera_of, layout_of, session_response
+from bssrdf.measure.frame_checks import warm_dark
+from bssrdf.measure.hdr import Hdr, Progress, flattened, merge
 from bssrdf.measure.image import Image
 from bssrdf.measure.learn import Learnt, learn_camera
-from bssrdf.measure.merge import Hdr, Progress, merge
-from bssrdf.measure.merged import Merged, Told, inputs_of, read_merged
+from bssrdf.measure.merged import Merged, Told, inputs_of, read_elsewhere, read_merged
 from bssrdf.measure.pixels import channel_names, mosaic_period
 from bssrdf.measure.plot import write_slice_png
-from bssrdf.measure.temperature import warm_dark
+from bssrdf.measure.slice import Options, measure_slice
+from bssrdf.measure.total_errors import Timing
 from bssrdf.session.atomic import replace_folder, sha256_of
 from bssrdf.session.constancy import check_constant, with_cards
 from bssrdf.session.frames_csv import read_frames

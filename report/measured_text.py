@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from bssrdf.measure.flags import MEANING
-from bssrdf.measure.session import Measured
+from bssrdf.measure import MEANING, Measured
 
 
 def measured_text(measured: Measured) -> str:

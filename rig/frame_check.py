@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
-from bssrdf.calib.quantisation import step_dn
-from bssrdf.calib.saturation import pile_up_dn
+from bssrdf.calib import pile_up_dn, step_dn
 from bssrdf.errors import InputError
 from bssrdf.rig.steps import Step
 from bssrdf.session.frame_files import read_frame_file

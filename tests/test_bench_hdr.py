@@ -6,7 +6,7 @@ import pytest
 
 from bssrdf.bench.hdr import run_hdr_bench, table
 from bssrdf.bench.hdr_scene import SENSOR, make_scene
-from bssrdf.measure.merge import merge
+from bssrdf.measure.hdr import merge
 
 
 @pytest.fixture(scope="module")

@@ -8,12 +8,12 @@ import pytest
 import tifffile
 
 from bssrdf.calib.colour import calibrate_colour
+from bssrdf.calib.counts import plateau_dn
 from bssrdf.calib.exposures import Comparison, comparable, compared, signal_weight
 from bssrdf.calib.frame_model import Exposed, solve_frames
 from bssrdf.calib.photon_transfer import pair_gain, read_noise_dn
 from bssrdf.calib.registration import shift_between
 from bssrdf.calib.response import fit_response
-from bssrdf.calib.saturation import plateau_dn
 from bssrdf.calib.sensor import Sensor
 from bssrdf.calib.spot import find_spot
 from bssrdf.errors import InputError

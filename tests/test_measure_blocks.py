@@ -10,8 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from bssrdf.calib.surface import Surface
+from bssrdf.measure.hdr import HOT, SATURATED, Hdr
 from bssrdf.measure.image import Image, locate
-from bssrdf.measure.merge import HOT, SATURATED, Hdr
 from bssrdf.measure.pixels import grids_of
 from bssrdf.measure.profile import Points, bin_edges, profile
 from bssrdf.measure.pyramid import Pyramid

@@ -11,8 +11,8 @@ import pytest
 from numpy.typing import NDArray
 
 from bssrdf.errors import InputError
-from bssrdf.measure.elsewhere import read_elsewhere
-from bssrdf.measure.merge import NO_DATA
+from bssrdf.measure.hdr import NO_DATA
+from bssrdf.measure.merged import read_elsewhere
 from bssrdf.session.records import Camera, Card, Frame, Session
 
 Y, X = np.mgrid[:60, :80]

@@ -8,9 +8,9 @@ import pytest
 import tifffile
 
 from bssrdf.errors import InputError
-from bssrdf.measure.budget import speckle_rel_sd
-from bssrdf.measure.camera import calibrate_camera
+from bssrdf.measure.calibrate import calibrate_camera
 from bssrdf.measure.session import measure_session
+from bssrdf.measure.total_errors import speckle_rel_sd
 from bssrdf.session.frames_csv import read_frames, write_frames
 from bssrdf.session.hdr_image import write_hdr_exr
 from bssrdf.session.records import Beam, Camera, Frame, Geometry, Material, Reference, Session

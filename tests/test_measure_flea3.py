@@ -8,9 +8,9 @@ import pytest
 
 from bssrdf.calib.sensor import BEND_PIVOT, by_row, rows_of
 from bssrdf.measure.bracket import bracket_of
+from bssrdf.measure.hdr import merge
 from bssrdf.measure.learn import learn_camera
 from bssrdf.measure.levels import beside
-from bssrdf.measure.merge import merge
 from bssrdf.session.records import Camera, Frame
 
 FLEA3 = Path(__file__).parents[2] / "shared/data/flea3_bracket"

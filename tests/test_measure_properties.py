@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from bssrdf.calib.sensor import Sensor
 from bssrdf.cli import cli
 from bssrdf.commands.console import BAD_INPUT, run
-from bssrdf.measure.merge import NO_DATA, SATURATED, Sample, Shot, merge
+from bssrdf.measure.hdr import NO_DATA, SATURATED, Sample, Shot, merge
 from bssrdf.measure.profile import Points, bin_edges, profile
 from bssrdf.session.slice_csv import read_slice
 

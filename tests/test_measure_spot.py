@@ -7,13 +7,13 @@ import pytest
 import tifffile
 from scipy.special import erf
 
-from bssrdf.calib.spot_radius import knife_edge_radius
+from bssrdf.calib.beam_radius import knife_edge_radius
 from bssrdf.calib.surface import Surface
 from bssrdf.cli import cli
 from bssrdf.commands.console import BAD_INPUT, WRONG_USAGE, run
 from bssrdf.errors import InputError
+from bssrdf.measure.hdr import Hdr
 from bssrdf.measure.image import Image, beam_on_tile, locate, spot_radius_mm
-from bssrdf.measure.merge import Hdr
 from bssrdf.session.records import Geometry
 from bssrdf.session.session_toml import read_calibration
 

@@ -10,7 +10,7 @@ import pytest
 import tifffile
 
 from bssrdf.measure.bracket import Bracket, bracket_of
-from bssrdf.measure.temperature import warm_dark
+from bssrdf.measure.frame_checks import warm_dark
 from bssrdf.session.records import Card, Frame
 
 DARK_DN_PER_S, DOUBLES_K = 3.0, 6.5

@@ -8,7 +8,7 @@ import pytest
 
 from bssrdf.calib.sensor import Sensor, master_dark
 from bssrdf.errors import InputError
-from bssrdf.measure.merge import HOT, NO_DATA, SATURATED, Sample, Shot, merge
+from bssrdf.measure.hdr import HOT, NO_DATA, SATURATED, Sample, Shot, merge
 from bssrdf.session.frame_files import read_frame_file
 
 SENSOR = Sensor(black_dn=512.0, saturation_dn=65000.0, gain_e_per_dn=1.0, read_noise_e=3.0)

@@ -17,7 +17,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from bssrdf.calib.sensor import BEND_PIVOT, Sensor
+from bssrdf.calib import BEND_PIVOT, Sensor
 from bssrdf.errors import InputError
 from bssrdf.measure.accumulate import add_light, add_variance, add_weighted
 
@@ -36,6 +36,8 @@ _READERS = 2
 _MEDIAN_PIXELS = 10_000
 _FEW_ELECTRONS = 100.0
 """Below this many electrons in all exposures the variance is predicted from the pixel's neighbourhood."""
+_LEAST_RESPONSE = 0.05
+"""A pixel that sees less than this share of its colour's mean cannot be corrected."""
 
 
 class Sample(NamedTuple):
@@ -234,3 +236,24 @@ def _smooth_where_dark(radiance: Plane, seconds: Plane, gain: np.float32) -> Non
             around = cv2.blur(np.nan_to_num(radiance[above:below]), size, borderType=cv2.BORDER_REPLICATE)
             lit = np.where(few, around[rows.start - above : rows.stop - above], lit)
         seconds[rows] = np.maximum(lit, 0)
+
+
+def flattened(hdr: Hdr, field: Hdr, period: int) -> Hdr:
+    """`hdr` divided by `field`, which is scaled to a mean of 1 in each colour; its noise is added."""
+    response = np.full_like(field.radiance, np.nan)
+    for row in range(period):
+        for column in range(period):
+            phase = (slice(row, None, period), slice(column, None, period))
+            part = field.radiance[phase]
+            mean = np.nanmean(np.where(field.mask[phase] == 0, part, np.nan), axis=(0, 1), keepdims=True)
+            response[phase] = part / mean
+    usable = (field.mask == 0) & (response > _LEAST_RESPONSE)
+    response = np.where(usable, response, np.float32(1))
+    relative_var = np.where(usable, field.variance / np.square(field.radiance), np.float32(0))
+    radiance = hdr.radiance / response
+    return Hdr(
+        radiance,
+        hdr.variance / response**2 + relative_var * radiance**2,
+        hdr.count,
+        hdr.mask | np.where(usable, np.uint8(0), np.uint8(NO_DATA)),
+    )

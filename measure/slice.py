@@ -4,14 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
-from bssrdf.calib.frame_model import Exposures
-from bssrdf.calib.spot import Spot
+from bssrdf.calib import Exposures, Spot
 from bssrdf.errors import InputError
-from bssrdf.measure.budget import exposure_shares, exposures_rel_sd, speckle_rel_sd
 from bssrdf.measure.flags import MEANING
 from bssrdf.measure.image import Image, beam_on_sample, beam_on_tile, has_second_spot, locate, spot_radius_mm
 from bssrdf.measure.isophotes import Seen, View, look_at_isophotes
@@ -28,6 +25,7 @@ from bssrdf.measure.reflectance import (
     usual_band_mm,
 )
 from bssrdf.measure.tail import Estimate, Surroundings
+from bssrdf.measure.total_errors import Timing, common_errors, speckle_rel_sd, stated_errors
 from bssrdf.session.records import TOTAL_R_MAX, ChannelSlice, Geometry, Material, Reference, Session, Slice
 
 _TILE_ETA = 1.35
@@ -51,28 +49,6 @@ _EXPLAIN = (
     "white_unseen",
 )
 """Flags of causes that can make an R of a white beyond white."""
-_REFLECTANCE_REL_SD = 0.01
-"""Of a tile whose certificate is not at hand: batches of sintered PTFE differ by about as much, and age more."""
-_SCALE_REL_SD = 0.005
-"""Of a scale read off a ruler in the picture: half a millimetre in a hundred."""
-_VIEW_ANGLE_SD_DEG = 1.0
-"""Of an angle set by eye and protractor."""
-
-
-@dataclass(frozen=True)
-class Timing:
-    """The frames of one kind as they were merged, shortest first."""
-
-    labels_s: tuple[float, ...]
-    seconds: tuple[float, ...]
-    flux_rel_sd: float
-    """Relative scatter of the light between repeats."""
-    hidden_dn: float = 0.0
-    """Signal [DN] up to which the rounding of the data may show nothing."""
-
-    def hidden(self) -> float:
-        """The same as radiance [DN/s], in the longest exposure."""
-        return self.hidden_dn / max(self.seconds)
 
 
 @dataclass(frozen=True)
@@ -130,7 +106,7 @@ def measure_slice(
         profiles = {0: back.profile} if options.radial else slice_profiles(sample, channel, beam, band_mm)
         channels[channel] = channel_slice(profiles, back.floor, per_light)
         lost[channel] = back.lost_fraction
-        common = _common_errors(back, incident, timing, exposures)
+        common = common_errors(back, incident, timing, exposures)
         if sample.px_per_sample[channel] == 4:
             common.append(sample.aliasing - reference.aliasing)
         if session.beam.kind == "laser":
@@ -251,19 +227,6 @@ def _spot_flags(given_mm: float, on_tile: Estimate) -> list[str]:
     return [flag for flag, is_raised in raised.items() if is_raised]
 
 
-def _common_errors(back: Total, incident: Total, timing: Mapping[str, Timing], exposures: Exposures) -> list[float]:
-    """Independent relative errors of what the beam carries, as it is compared with the sample: of curve and total."""
-    sample, reference = (
-        exposure_shares(total.light_by_count, timing[kind].labels_s, timing[kind].seconds) if kind in timing else {}
-        for kind, total in (("sample", back), ("reference", incident))
-    )
-    return [
-        incident.sd / incident.light,
-        exposures_rel_sd(sample, reference, exposures),
-        *(kind.flux_rel_sd for kind in timing.values()),
-    ]
-
-
 def _disagree(side: Profile, everywhere: Profile, around: Surroundings) -> bool:
     """Whether one side of the slice departs from the whole image by more than noise, a few percent and the exit law."""
     clear = (side.value > 10 * side.sd) & (side.r < everywhere.r[-1])
@@ -288,29 +251,3 @@ def reflectance_of(tile: Reference, channel: str, session: Session, image: Image
         f"{session.path / 'session.toml'}: [reference] reflectance has {len(values)} values for the {len(every)} "
         f"channels {', '.join(every)}; give one for each"
     )
-
-
-class StatedErrors(NamedTuple):
-    """Errors that no picture tells: as session.toml states them, else as assumed, with the flags that say so."""
-
-    tile_rel_sd: float
-    """Largest over the channels."""
-    mm_rel_sd: float
-    view_angle_sd_deg: float
-    flags: list[str]
-
-
-def stated_errors(tile: Reference, geometry: Geometry) -> StatedErrors:
-    """The errors of tile, scale and view angle."""
-    tile_rel_sd = None
-    if tile.reflectance_sd is not None:
-        tile_rel_sd = max(sd / value for sd, value in zip(tile.reflectance_sd, tile.reflectance, strict=True))
-    stated = (tile_rel_sd, geometry.mm_per_px_rel_sd, geometry.view_angle_sd_deg)
-    usual = (_REFLECTANCE_REL_SD, _SCALE_REL_SD, _VIEW_ANGLE_SD_DEG)
-    raised = {
-        "reflectance_sd_assumed": stated[0] is None,
-        "scale_sd_assumed": stated[1] is None,
-        "view_angle_sd_assumed": stated[2] is None,
-    }
-    of_tile, of_mm, of_angle = (b if a is None else a for a, b in zip(stated, usual, strict=True))
-    return StatedErrors(of_tile, of_mm, of_angle, [flag for flag, is_raised in raised.items() if is_raised])

@@ -1,4 +1,4 @@
-"""The beam's own radius from its image on a white tile, which spreads light below its surface. Lengths in mm.
+"""The beam's 1/e² radius, from a knife edge or from the spot on a white tile, which spreads light. Lengths in mm.
 
 A tile without absorption spreads a thin beam as diffusion has it: exponentially distributed sources, their images above
 the extrapolated boundary, fluence and flux seen under the camera's angle (Kienle & Patterson 1997). One length, the
@@ -12,9 +12,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
-from scipy.special import ive
+from scipy.special import erf, ive
 
 from bssrdf.calib.monotone import Monotone
+from bssrdf.errors import InputError
 from bssrdf.transport.exit_radiance import boundary_a
 
 Array = NDArray[np.float64]
@@ -43,7 +44,7 @@ class BeamRadius(NamedTuple):
     mfp_mm: float
 
 
-def beam_radius(
+def radius_on_tile(
     across: Array,
     along: Array,
     value: Array,
@@ -111,3 +112,24 @@ def _pixel_mean(log_curve: Monotone, across: Array, along: Array, footprint: tup
             r = np.hypot(across + u * footprint[0] / 2, along + v * footprint[1] / 2)
             mean += weight_u * weight_v / 4 * np.exp(log_curve(r))
     return mean
+
+
+def knife_edge_radius(position: Array, light: Array) -> float:
+    """1/e² radius from the light that passes an edge moved across the spot, arrays of shape (n,), n ≥ 5.
+
+    A Gaussian spot of radius w passes (1 + erf(√2 (x − x₀)/w))/2.
+    """
+    if len(position) < 5:
+        raise InputError(f"{len(position)} positions of the edge do not tell the spot's radius; give at least five")
+    low, high = light.min(), light.max()
+    middle = float(np.interp((low + high) / 2, np.sort(light), position[np.argsort(light)]))
+    rising = 1.0 if light[np.argmax(position)] > light[np.argmin(position)] else -1.0
+
+    def residual(p: Array) -> Array:
+        centre, log_radius, bottom, top = p
+        return (
+            bottom + (top - bottom) * (1 + erf(rising * 2**0.5 * (position - centre) / np.exp(log_radius))) / 2 - light
+        )
+
+    start = [middle, np.log(np.ptp(position) / 8), low, high]
+    return float(np.exp(least_squares(residual, start).x[1]))

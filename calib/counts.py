@@ -1,4 +1,7 @@
-"""Where a sensor really saturates: its plateau in the frames, which may lie well below the white level of the file."""
+"""What the values of a frame tell by themselves: the step between them, and where they pile up at saturation.
+
+A sensor may saturate well below the white level that its file states.
+"""
 
 from __future__ import annotations
 
@@ -20,6 +23,11 @@ _STRETCH, _LEAST_ON_STRETCH = 0.004, 20
 """A pile of a digital limit is two steps wide, that of a full well some thousandths of the range."""
 _STRAY = 1e-4
 """Share of the samples that may lie beyond a pile-up: hot pixels of a camera that scales its colours."""
+_MOST_SAMPLES = 200_000
+_CONTINUOUS = 0.5
+"""Different values to samples from which data have no step that could be seen."""
+_ROUNDING = 1e-6
+"""Differences of float values below this share of the largest are rounding of the file."""
 
 
 def pile_up_dn(values: NDArray[Any], step_dn: float, black_dn: float) -> float | None:
@@ -55,3 +63,18 @@ def plateau_dn(
     there = np.count_nonzero((beyond >= low) & (beyond <= high))
     on_it = 2 * there > stopped.size and beyond.size - there < _FEW_ABOVE * stopped.size
     return float(low) if high - low < _NARROW * span and on_it and above < _FEW_ABOVE * stopped.size else None
+
+
+def step_dn(values: NDArray[Any]) -> float:
+    """Step [DN] of a frame's values; 0 where there is none, infinite where a frame of one value does not tell."""
+    sample = values.reshape(-1)
+    sample = sample[:: max(1, sample.size // _MOST_SAMPLES)]
+    levels = np.unique(sample)
+    if np.issubdtype(levels.dtype, np.integer):
+        gaps = np.diff(levels.astype(np.int64))
+        return float(np.gcd.reduce(gaps)) if gaps.size else np.inf
+    levels = levels[np.isfinite(levels)].astype(float)
+    if levels.size > _CONTINUOUS * sample.size:
+        return 0.0
+    gaps = np.diff(levels)
+    return float(gaps[gaps > _ROUNDING * np.abs(levels).max()].min(initial=np.inf))

@@ -8,7 +8,7 @@ import pytest
 from bssrdf.cli import cli
 from bssrdf.commands.console import BAD_INPUT, run
 from bssrdf.errors import InputError
-from bssrdf.measure.views import compare_views
+from bssrdf.report.views import compare_views
 from bssrdf.session.records import ChannelSlice, Slice
 from bssrdf.session.slice_csv import write_slice
 from bssrdf.transport.convention import camera_factor
