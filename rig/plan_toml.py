@@ -8,21 +8,10 @@ from pathlib import Path
 from typing import Any, Literal
 
 from bssrdf.errors import InputError
-from bssrdf.session.checks import (
-    boolean,
-    check_format,
-    checked,
-    choice,
-    known_keys,
-    list_of,
-    number,
-    parse_toml,
-    read_text,
-    shown,
-    unique,
-)
-from bssrdf.session.records import FORMAT, Material
+from bssrdf.session.checks import boolean, checked, choice, known_keys, list_of, number, shown, unique
+from bssrdf.session.records import Material
 from bssrdf.session.session_toml import TABLES
+from bssrdf.session.text_file import FORMAT, check_format, parse_toml, read_text
 
 Subject = Literal["sample", "reference"]
 Order = Literal["alternating", "blocks"]

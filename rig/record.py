@@ -13,11 +13,10 @@ from bssrdf.rig.plan_toml import Plan, Subject, read_plan
 from bssrdf.rig.ports import Identity
 from bssrdf.rig.rig_toml import Rig
 from bssrdf.session.atomic import atomic_write, sha256_of
-from bssrdf.session.checks import parse_toml, read_text
 from bssrdf.session.frames_csv import recover_frames
-from bssrdf.session.records import FORMAT, Frame, Session
+from bssrdf.session.records import Frame, Session
 from bssrdf.session.session_toml import write_session
-from bssrdf.session.text_file import toml_table
+from bssrdf.session.text_file import FORMAT, parse_toml, read_text, toml_table
 
 EXPOSURES = "exposures_s"
 

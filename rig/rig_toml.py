@@ -8,19 +8,10 @@ from typing import Any
 
 from bssrdf.errors import InputError
 from bssrdf.rig.drivers import PARTS, PartName, find, names
-from bssrdf.session.checks import (
-    Check,
-    check_format,
-    checked,
-    choice,
-    known_keys,
-    number,
-    parse_toml,
-    read_text,
-    text,
-)
-from bssrdf.session.records import FORMAT, Beam, Camera, Geometry, Reference
+from bssrdf.session.checks import Check, checked, choice, known_keys, number, text
+from bssrdf.session.records import Beam, Camera, Geometry, Reference
 from bssrdf.session.session_toml import TABLES
+from bssrdf.session.text_file import FORMAT, check_format, parse_toml, read_text
 
 _SECONDS = number(above=0, at_most=3600)
 _OF_EVERY: dict[PartName, dict[str, Check]] = {"shutter": {}, "beam": {}, "camera": {"frame_mb": number(above=0)}}

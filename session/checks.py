@@ -4,20 +4,12 @@ from __future__ import annotations
 
 import difflib
 import math
-import tomllib
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
 from bssrdf.errors import InputError
-from bssrdf.session.records import FORMAT
 
-_NOT_TEXT = {
-    b"PK\x03\x04": "a zip archive such as a workbook (.xlsx, .ods)",
-    b"\xd0\xcf\x11\xe0": "an old workbook (.xls)",
-    b"\xff\xfe": "text in UTF-16",
-    b"\xfe\xff": "text in UTF-16",
-}
 Check = Callable[[Any], Any]
 """Returns the value, normalised; raises ValueError with what it must be."""
 
@@ -129,37 +121,6 @@ def known_keys(file: Path, where: str, given: Iterable[str], known: Iterable[str
             near = difflib.get_close_matches(key, names, n=1)
             remedy = f"did you mean {near[0]}?" if near else f"take one of {', '.join(names)}"
             raise InputError(f"{file}: {where}{shown(key)[1:-1]} is not known; {remedy}")
-
-
-def check_format(file: Path, value: Any) -> None:
-    """InputError unless the file's format number is one this version reads."""
-    if isinstance(value, bool) or not isinstance(value, int) or value < 1:
-        raise InputError(f"{file}: format = {shown(value)} must be {FORMAT}")
-    if value > FORMAT:
-        raise InputError(f"{file}: format = {value} is newer than this version reads ({FORMAT}); update bssrdf")
-
-
-def parse_toml(file: Path, document: str) -> dict[str, Any]:
-    """The TOML document; InputError with the place where it is malformed."""
-    try:
-        return tomllib.loads(document)
-    except (ValueError, RecursionError) as error:
-        raise InputError(f"{file}: is not TOML: {error}; put it right there") from error
-
-
-def read_text(file: Path) -> str:
-    """The UTF-8 text of a file (a byte order mark is dropped); InputError where there is none."""
-    try:
-        content = file.read_bytes()
-        for beginning, kind in _NOT_TEXT.items():
-            if content.startswith(beginning):
-                raise InputError(f"{file}: is {kind}, whatever its name; save it as plain text in UTF-8")
-        return content.decode("utf-8-sig").replace("\r\n", "\n").replace("\r", "\n")
-    except UnicodeDecodeError as error:
-        raise InputError(f"{file}: is not UTF-8 text (byte {error.start}); save it as plain text in UTF-8") from error
-    except (OSError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or error
-        raise InputError(f"{file}: cannot be read ({reason}); check the path") from error
 
 
 def shown(value: Any) -> str:

@@ -15,9 +15,9 @@ from pathlib import Path, PurePosixPath
 from typing import NamedTuple
 
 from bssrdf.errors import InputError, UsageError
-from bssrdf.session.checks import read_text, shown
+from bssrdf.session.checks import shown
 from bssrdf.session.records import KINDS, FrameKind
-from bssrdf.session.text_file import parse_csv
+from bssrdf.session.text_file import parse_csv, read_text
 
 _UNITS = {"s": 1.0, "sec": 1.0, "ms": 1e-3, "msec": 1e-3, "us": 1e-6, "usec": 1e-6, "µs": 1e-6, "μs": 1e-6}
 _TIME = re.compile(

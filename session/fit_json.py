@@ -10,8 +10,9 @@ from typing import Any, get_args
 
 from bssrdf.errors import BssrdfError, InputError
 from bssrdf.session.atomic import atomic_write
-from bssrdf.session.checks import check_format, read_text, shown
-from bssrdf.session.records import FORMAT, ChannelFit, Fit, Status
+from bssrdf.session.checks import shown
+from bssrdf.session.records import ChannelFit, Fit, Status
+from bssrdf.session.text_file import FORMAT, check_format, read_text
 
 _ORDER = (
     "model",

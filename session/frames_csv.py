@@ -12,9 +12,9 @@ from typing import Any
 
 from bssrdf.errors import InputError
 from bssrdf.session.atomic import atomic_write, inside
-from bssrdf.session.checks import read_text, shown
+from bssrdf.session.checks import shown
 from bssrdf.session.records import KINDS, Card, Frame
-from bssrdf.session.text_file import csv_text, parse_csv
+from bssrdf.session.text_file import csv_text, parse_csv, read_text
 
 _CARD = tuple(field.name for field in fields(Card))
 COLUMNS = (*(field.name for field in fields(Frame) if field.name != "card"), *_CARD)

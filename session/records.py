@@ -12,7 +12,6 @@ from typing import Any, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-FORMAT = 1
 TOTAL_R_MAX = 1.1
 """A white sample can outshine a Lambertian reference at some angles, but not by more."""
 

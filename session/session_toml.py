@@ -14,22 +14,19 @@ from bssrdf.session.atomic import atomic_write, inside, make_folder
 from bssrdf.session.checks import (
     Check,
     boolean,
-    check_format,
     checked,
     choice,
     known_keys,
     list_of,
     matrix3,
     number,
-    parse_toml,
-    read_text,
     shown,
     text,
     unique,
 )
 from bssrdf.session.frames_csv import write_frames
-from bssrdf.session.records import FORMAT, Beam, Camera, Colour, Distortion, Geometry, Material, Reference, Session
-from bssrdf.session.text_file import toml_table
+from bssrdf.session.records import Beam, Camera, Colour, Distortion, Geometry, Material, Reference, Session
+from bssrdf.session.text_file import FORMAT, check_format, parse_toml, read_text, toml_table
 
 Tables = dict[str, dict[str, Any]]
 

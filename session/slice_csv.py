@@ -14,23 +14,10 @@ from numpy.typing import NDArray
 
 from bssrdf.errors import InputError
 from bssrdf.session.atomic import atomic_write
-from bssrdf.session.checks import (
-    Check,
-    by_channel,
-    check_format,
-    checked,
-    choice,
-    known_keys,
-    list_of,
-    number,
-    parse_toml,
-    read_text,
-    shown,
-    text,
-)
-from bssrdf.session.records import FORMAT, TOTAL_R_MAX, Array, ChannelSlice, Slice
+from bssrdf.session.checks import Check, by_channel, checked, choice, known_keys, list_of, number, shown, text
+from bssrdf.session.records import TOTAL_R_MAX, Array, ChannelSlice, Slice
 from bssrdf.session.slice_units import MM, column_unit, factor, in_mm
-from bssrdf.session.text_file import csv_text, parse_csv, toml_table
+from bssrdf.session.text_file import FORMAT, check_format, csv_text, parse_csv, parse_toml, read_text, toml_table
 
 _NOT_NEGATIVE = number(at_least=0, at_most=1e6)
 _LENGTH = number(at_least=1e-9, at_most=1e6)
