@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from bssrdf.rig.sim.light import SampleMedium, SeenLight, seen_light
+from bssrdf.rig import SampleMedium, SeenLight, seen_light
 from bssrdf.session.records import ChannelSlice, Slice
 
 Floats = NDArray[np.float64]

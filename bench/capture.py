@@ -17,11 +17,7 @@ from statistics import median
 import numpy as np
 
 from bssrdf.errors import BssrdfError
-from bssrdf.rig.capture import Event, capture
-from bssrdf.rig.sim.launch import SimulatedBench
-from bssrdf.rig.sim.samples import published_sample, white_tile
-from bssrdf.rig.sim.scene import Scene
-from bssrdf.rig.sim.sensor import Sensor
+from bssrdf.rig import Event, Scene, Sensor, SimulatedBench, capture_session, published_sample, white_tile
 from bssrdf.session.atomic import sha256_of, sync
 from bssrdf.session.frames_csv import append_frame, recover_frames
 from bssrdf.session.records import Frame
@@ -136,8 +132,8 @@ class Campaign:
         closes it.
         """
         session = self._fresh("killed")
-        code = "import sys; from pathlib import Path as P; from bssrdf.rig.capture import capture; "
-        code += "capture(*map(P, sys.argv[1:]))"
+        code = "import sys; from pathlib import Path as P; from bssrdf.rig.capture import capture_session; "
+        code += "capture_session(*map(P, sys.argv[1:]))"
         words = [sys.executable, "-c", code, *map(str, (self._plan, self._bench.rig_file, session))]
         process = subprocess.Popen(words, stdin=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True)
         deadline = time.monotonic() + 30
@@ -164,7 +160,7 @@ class Campaign:
                 self._bench.start(part)
 
     def _capture(self, session: Path, *, resume: bool = False, report: Callable[[Event], None] | None = None) -> Path:
-        capture(self._plan, self._bench.rig_file, session, resume=resume, report=report)
+        capture_session(self._plan, self._bench.rig_file, session, resume=resume, report=report)
         return session
 
     def _fresh(self, name: str) -> Path:

@@ -16,10 +16,8 @@ from typing import Any
 import numpy as np
 
 from bssrdf.errors import BssrdfError
-from bssrdf.rig.sim.launch import SCALE_REL_SD, TILE_SD, simulated_bench
-from bssrdf.rig.sim.samples import published_sample, white_tile
-from bssrdf.rig.sim.scene import BRACKET_S, Scene
-from bssrdf.transport.materials import CHANNELS, find_material
+from bssrdf.rig import BRACKET_S, SCALE_REL_SD, TILE_SD, Scene, published_sample, simulated_bench, white_tile
+from bssrdf.transport import CHANNELS, find_material
 
 LIGHT = (
     "The light is photon transport (Monte Carlo, absorption in the walk, isotropic scattering) of the published "

@@ -22,12 +22,9 @@ from bssrdf.fit.batch import Job, Options, fit_group
 from bssrdf.fit.models import Making
 from bssrdf.fit.terms import Constraint
 from bssrdf.session.records import ChannelSlice, Slice
+from bssrdf.transport import CHANNELS, absorption_ratio, load_materials, scoped_x64, table_model
 from bssrdf.transport.dipole import Medium
-from bssrdf.transport.inverse_total import absorption_ratio
 from bssrdf.transport.light import coefficients, dipole
-from bssrdf.transport.materials import CHANNELS, load_materials
-from bssrdf.transport.precision import scoped_x64
-from bssrdf.transport.white.store import table_model
 
 ETA = 1.3
 N_RADII = 200

@@ -11,9 +11,7 @@ import numpy as np
 import tifffile
 from numpy.typing import NDArray
 
-from bssrdf.rig.sim.samples import published_sample, white_tile
-from bssrdf.rig.sim.scene import Scene
-from bssrdf.rig.sim.sensor import Sensor, expose
+from bssrdf.rig import Scene, Sensor, expose, published_sample, white_tile
 from bssrdf.session.frames_csv import write_frames
 from bssrdf.session.records import Beam, Camera, Frame, FrameKind, Geometry, Material, Reference, Session
 

@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 
 from bssrdf.bench.hdr_scene import EXPOSURES_S, SENSOR, WHITE_DN, Plane, Scene
 from bssrdf.measure import Hdr, merge
-from bssrdf.rig.sim.raw_files import dng_bytes
-from bssrdf.rig.sim.sensor import Sensor
+from bssrdf.rig import Sensor, dng_bytes
 
 Timed = Callable[[], Hdr | Plane]
 

@@ -20,9 +20,7 @@ import cv2
 import numpy as np
 
 from bssrdf.bench.sabotage import MARBLE, currents, toml_of
-from bssrdf.rig.sim.raw_files import dng_bytes
-from bssrdf.rig.sim.scene import BRACKET_S
-from bssrdf.rig.sim.sensor import Sensor, expose
+from bssrdf.rig import BRACKET_S, Sensor, dng_bytes, expose
 from bssrdf.session.frames_csv import write_frames
 from bssrdf.session.records import Frame, FrameKind
 

@@ -21,9 +21,7 @@ from bssrdf.bench.render_cases import MATERIALS, METHODS, REFERENCE, Case, cases
 from bssrdf.bench.render_results import KNOWN, CaseResult, Row, write_results
 from bssrdf.bench.render_truth import cut_share, sky_radiance
 from bssrdf.errors import UsageError
-from bssrdf.render.compare import EPSILON
-from bssrdf.render.material import RenderMaterial, find_medium
-from bssrdf.render.picture import Stage, load_stage, render_pass
+from bssrdf.render import EPSILON, RenderMaterial, Stage, find_medium, load_stage, render_pass
 from bssrdf.session.atomic import make_folder
 
 Progress = Callable[[str, int, int], None]

@@ -7,9 +7,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any
 
-from bssrdf.render.choose import spread_mm
-from bssrdf.render.material import HALF_ALBEDO, RenderMaterial, find_medium
-from bssrdf.render.plugins import Options
+from bssrdf.render import HALF_ALBEDO, Options, RenderMaterial, find_medium, spread_mm
 from bssrdf.render.scenes.blocks import slab
 from bssrdf.render.scenes.figures import bust
 from bssrdf.render.scenes.place import panel, sky

@@ -6,8 +6,7 @@ import argparse
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from bssrdf.render.picture import Pixels, exposure, render, shown
-from bssrdf.render.plugins import TERMS, Options
+from bssrdf.render import TERMS, Options, Pixels, exposure, render, shown
 from bssrdf.render.scenes.catalogue import build_scene
 from bssrdf.session.atomic import atomic_write, make_folder
 

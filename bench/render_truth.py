@@ -6,13 +6,10 @@ import math
 
 import numpy as np
 
-from bssrdf.render.material import RenderMaterial
-from bssrdf.transport import dipole
+from bssrdf.render import RenderMaterial
+from bssrdf.transport import dipole, first_order_total, scoped_x64, table_model
 from bssrdf.transport.dipole import Medium
 from bssrdf.transport.fresnel import exit_norm, fresnel_r
-from bssrdf.transport.precision import scoped_x64
-from bssrdf.transport.single import first_order_total
-from bssrdf.transport.white.store import table_model
 
 
 @scoped_x64

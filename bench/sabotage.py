@@ -22,11 +22,7 @@ from numpy.typing import NDArray
 from bssrdf.errors import InputError
 from bssrdf.fit.run import FitOptions, fit_slices
 from bssrdf.measure import measure_session
-from bssrdf.rig.sim.picture import View, picture
-from bssrdf.rig.sim.raw_files import dng_bytes
-from bssrdf.rig.sim.samples import published_sample, white_tile
-from bssrdf.rig.sim.scene import Scene
-from bssrdf.rig.sim.sensor import Sensor, expose, mosaic
+from bssrdf.rig import Scene, Sensor, View, dng_bytes, expose, mosaic, picture, published_sample, white_tile
 from bssrdf.session.frames_csv import write_frames
 from bssrdf.session.records import Frame, FrameKind
 from bssrdf.session.session_toml import read_session

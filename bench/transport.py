@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from bssrdf.transport.engine import MonteCarloMedium, simulate
+from bssrdf.transport import MonteCarloMedium, simulate
 
 MCML_PHOTONS_PER_S = {"marble_g": 26_000, "skin1_g": 471_000}
 """MCML 1.2.2, compiled -O3, one thread."""
@@ -75,9 +75,8 @@ def _table_cost() -> dict[str, float]:
     import jax
     import jax.numpy as jnp
 
+    from bssrdf.transport import DipoleModel, table_model
     from bssrdf.transport.dipole import Medium
-    from bssrdf.transport.forward import DipoleModel
-    from bssrdf.transport.white.store import table_model
 
     with jax.enable_x64(True):
         radii = jnp.geomspace(0.05, 12, N_RADII)

@@ -16,8 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bssrdf.session.atomic import atomic_write
-from bssrdf.transport.engine import MIN_BATCHES, MonteCarloMedium, simulate
-from bssrdf.transport.materials import CHANNELS, load_materials
+from bssrdf.transport import CHANNELS, MIN_BATCHES, MonteCarloMedium, load_materials, simulate
 
 Floats = NDArray[np.float64]
 

@@ -17,9 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from bssrdf.transport.discrete_ordinates import decay_constant
-from bssrdf.transport.engine import MonteCarloMedium, simulate
-from bssrdf.transport.white.samples import WhiteSamples, sample
+from bssrdf.transport import MonteCarloMedium, WhiteSamples, decay_constant, sample, simulate
 
 ETAS = (1.3, 1.33, 1.4, 1.5)
 GS = (0.0, 0.35, 0.6, 0.75, 0.8, 0.9)
@@ -98,8 +96,7 @@ def reference_all(out: Path, core_seconds: float, n_threads: int) -> None:
 
 def compress_all(out: Path, tables: Path, *, wide: bool) -> None:
     """The file of tables from the raw samples in `out`."""
-    from bssrdf.transport.white.archive import table_set, write_tables
-    from bssrdf.transport.white.smooth import fit_tables
+    from bssrdf.transport import fit_tables, table_set, write_tables
 
     fitted = {}
     for path in sorted(out.glob("samples_g*.npz")):

@@ -1,51 +1,8 @@
-"""What calibrates a picture: counts to light, pixels to mm, colours.
+"""What calibrates a picture: counts to light, pixels to mm, colours."""
 
-The names below are imported when first used.
-"""
+from typing import TYPE_CHECKING
 
-from __future__ import annotations
-
-import importlib
-from typing import TYPE_CHECKING, Any
-
-_HOME = {
-    "knife_edge_radius": "beam_radius",
-    "radius_on_tile": "beam_radius",
-    "calibrate_colour": "colour",
-    "pile_up_dn": "counts",
-    "plateau_dn": "counts",
-    "step_dn": "counts",
-    "Comparison": "exposures",
-    "comparable": "exposures",
-    "compared": "exposures",
-    "least_signal": "exposures",
-    "rough_log_ratio": "exposures",
-    "signal_weight": "exposures",
-    "Exposed": "frame_model",
-    "Exposures": "frame_model",
-    "FrameModel": "frame_model",
-    "leak_of": "frame_model",
-    "solve_frames": "frame_model",
-    "calibrate_geometry": "geometry",
-    "Monotone": "monotone",
-    "Gain": "photon_transfer",
-    "clipped_variance": "photon_transfer",
-    "pair_gain": "photon_transfer",
-    "read_noise_dn": "photon_transfer",
-    "thinned": "photon_transfer",
-    "shift_between": "registration",
-    "Response": "response",
-    "fit_response": "response",
-    "BEND_PIVOT": "sensor",
-    "Sensor": "sensor",
-    "by_row": "sensor",
-    "master_dark": "sensor",
-    "rows_of": "sensor",
-    "Spot": "spot",
-    "find_spot": "spot",
-    "Surface": "surface",
-    "Target": "target",
-}
+from bssrdf.door import door
 
 if TYPE_CHECKING:
     from bssrdf.calib.beam_radius import knife_edge_radius as knife_edge_radius
@@ -84,13 +41,5 @@ if TYPE_CHECKING:
     from bssrdf.calib.spot import find_spot as find_spot
     from bssrdf.calib.surface import Surface as Surface
     from bssrdf.calib.target import Target as Target
-
-
-def __getattr__(name: str) -> Any:
-    if name not in _HOME:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(importlib.import_module(f"{__name__}.{_HOME[name]}"), name)
-
-
-def __dir__() -> list[str]:
-    return sorted(_HOME)
+else:
+    __getattr__, __dir__, __all__ = door(__name__, __file__)

@@ -25,7 +25,7 @@ def bench() -> None:
 def hdr(out: Path | None, force: bool) -> None:
     """Merge one bracket by every method there is."""
     from bssrdf.bench.hdr import run_hdr_bench, table
-    from bssrdf.report.progress import steps
+    from bssrdf.report import steps
 
     with steps(quiet=is_quiet()) as progress:
         result = run_hdr_bench(out=out and fresh(out, force), progress=progress)
@@ -38,7 +38,7 @@ def hdr(out: Path | None, force: bool) -> None:
 def fit(out: Path | None, force: bool) -> None:
     """Fit the same curves by every model and constraint, by jaxopt and by SciPy."""
     from bssrdf.bench.fit import run_fit_bench, table
-    from bssrdf.report.progress import steps
+    from bssrdf.report import steps
 
     with steps(quiet=is_quiet()) as progress:
         scores = run_fit_bench(out=out and fresh(out, force), progress=progress)
@@ -64,7 +64,7 @@ def trials(
 ) -> None:
     """Fit the engine's own light of every cell of the table, again and again: errors, bounds, intervals."""
     from bssrdf.bench.trials import MODELS, Drawn, run_trials, table
-    from bssrdf.report.progress import steps
+    from bssrdf.report import steps
 
     with steps(quiet=is_quiet()) as progress:
         outcomes = run_trials(
@@ -87,7 +87,7 @@ def frames(out: Path | None, force: bool, sessions: int, faults: tuple[str, ...]
     """Measure sessions with faults of lamp, black, darks and labels: are they refused, or do the intervals hold?"""
     from bssrdf.bench.frame_faults import FAULTS
     from bssrdf.bench.frames import run_frames_bench, table
-    from bssrdf.report.progress import steps
+    from bssrdf.report import steps
 
     for fault in faults:
         if fault not in FAULTS:
@@ -135,7 +135,7 @@ def render(out: Path | None, force: bool, materials: tuple[str, ...], scenes: tu
 
     from bssrdf.bench.render import QUICK, Effort, run_render_bench
     from bssrdf.bench.render_results import table
-    from bssrdf.report.progress import steps
+    from bssrdf.report import steps
 
     effort = QUICK if quick else Effort()
     effort = replace(effort, materials=materials or effort.materials, scenes=scenes or effort.scenes)
@@ -151,7 +151,7 @@ def render(out: Path | None, force: bool, materials: tuple[str, ...], scenes: tu
 def demo(out: Path, seed: int, force: bool) -> None:
     """Make sessions on the simulated bench, measure and fit them, and print recovered against published values."""
     from bssrdf.bench.demo import run_demo
-    from bssrdf.report.progress import stages
+    from bssrdf.report import stages
 
     folder = fresh(out, force)
     with stages("demo", quiet=is_quiet()) as progress:

@@ -29,7 +29,7 @@ def calibrate() -> None:
 def camera(session: Path, out: Path, force: bool) -> None:
     """Gain, read noise and saturation from the brackets and darks of SESSION."""
     from bssrdf.measure import calibrate_camera
-    from bssrdf.report.progress import steps
+    from bssrdf.report import steps
     from bssrdf.session.session_toml import read_session
 
     with steps(quiet=is_quiet()) as progress:

@@ -20,7 +20,7 @@ from bssrdf.session.slice_csv import HEADER, read_slice
 from bssrdf.session.slice_units import doubt
 
 if TYPE_CHECKING:
-    from bssrdf.report.validation import Check
+    from bssrdf.report import Check
 
 T = TypeVar("T")
 
@@ -89,7 +89,7 @@ def read_fits(paths: Sequence[Path]) -> list[Fit]:
 
 def validate_fit(path: Path, picture: Path, *, progress: Callable[[str, int, int], None] | None = None) -> list[Check]:
     """Simulate the fit that `path` stands for and draw it beside its data; see `report.validation`."""
-    from bssrdf.report.validation import draw_validation, validate
+    from bssrdf.report import draw_validation, validate
 
     (fit,) = read_fits([path])
     source = slice_file(path) if path.is_dir() else Path(fit.input_path)

@@ -120,7 +120,7 @@ def fit(
     from bssrdf.commands.files import fit_files, fit_joint_files
     from bssrdf.fit.models import Making
     from bssrdf.fit.run import FitOptions
-    from bssrdf.report.fit_text import fit_text
+    from bssrdf.report import fit_text
     from bssrdf.session.fit_json import failure_line, fit_line
 
     if explain:
@@ -163,7 +163,7 @@ def _progress(done: int, total: int) -> None:
 def table(inputs: tuple[Path, ...], form: Any) -> None:
     """Print the material table of the fits; with none, the published one checked against its own reflectances."""
     from bssrdf.commands.files import read_fits, stale
-    from bssrdf.report.table import fits_table, published_table
+    from bssrdf.report import fits_table, published_table
 
     fits = read_fits(inputs)
     for message in filter(None, map(stale, inputs, fits)):
@@ -178,8 +178,7 @@ def table(inputs: tuple[Path, ...], form: Any) -> None:
 def validate(fit_path: Path, out: Path | None, force: bool) -> None:
     """Simulate the fitted coefficients photon by photon and draw data, dipole and Monte Carlo (the paper's Fig. 6)."""
     from bssrdf.commands.files import validate_fit
-    from bssrdf.report.progress import steps
-    from bssrdf.report.validation import validation_text
+    from bssrdf.report import steps, validation_text
 
     picture = fresh(out, force) if out else (fit_path if fit_path.is_dir() else fit_path.parent) / "validation.png"
     with steps(quiet=is_quiet()) as progress:

@@ -31,8 +31,7 @@ def measure(session: Path, **options: Any) -> None:
         raise UsageError("--from-hdr makes no images; leave out --hdr-only and --hdr-rel-sd")
 
     from bssrdf.measure import measure_session
-    from bssrdf.report.measured_text import measured_text
-    from bssrdf.report.progress import steps
+    from bssrdf.report import measured_text, steps
     from bssrdf.session.session_toml import read_session
 
     with steps(quiet=is_quiet()) as progress:
@@ -46,7 +45,7 @@ def measure(session: Path, **options: Any) -> None:
 def views(inputs: tuple[Path, ...]) -> None:
     """Hold slices of one sample under several view angles against each other: do they follow the exit law?"""
     from bssrdf.commands.files import slice_file
-    from bssrdf.report.views import views_text
+    from bssrdf.report import views_text
     from bssrdf.session.slice_csv import read_slice
 
     click.echo(views_text([read_slice(slice_file(path)) for path in inputs]))

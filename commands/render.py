@@ -15,7 +15,7 @@ from bssrdf.commands.console import Command, fresh, is_quiet, warn
 from bssrdf.errors import UsageError
 
 if TYPE_CHECKING:
-    from bssrdf.render.plugins import Model, Options
+    from bssrdf.render import Model, Options
     from bssrdf.render.scenes.record import Scene
 
 Decorated = TypeVar("Decorated", bound=Callable[..., Any])
@@ -59,9 +59,9 @@ def render(
     scene: str, model: str, terms: str | None, explain: bool, out: Path | None, samples: int, seed: int, **given: Any
 ) -> None:
     """Render SCENE: slab, block, bust, milk, face, texture, or a Mitsuba .xml file."""
-    from bssrdf.render.picture import render as render_picture
-    from bssrdf.render.picture import write_pictures
-    from bssrdf.report.progress import steps
+    from bssrdf.render import render as render_picture
+    from bssrdf.render import write_pictures
+    from bssrdf.report import steps
 
     stem = out or Path(Path(scene).stem)
     _refuse([stem.with_name(f"{stem.name}.{kind}") for kind in ("exr", "png")], given.pop("force"))
@@ -86,10 +86,8 @@ def render(
 @_scene_options
 def compare(scene: str, out: Path | None, samples: int, mc_samples: int | None, seed: int, **given: Any) -> None:
     """Render SCENE by brdf, bssrdf and mc: pictures side by side, their difference, errors and times."""
-    from bssrdf.render.check import mc_refusal
-    from bssrdf.render.compare import compare as compare_models
-    from bssrdf.render.compare import scores_text, write_comparison
-    from bssrdf.report.progress import steps
+    from bssrdf.render import compare_models, mc_refusal, scores_text, write_comparison
+    from bssrdf.report import steps
     from bssrdf.session.atomic import replace_folder
 
     folder = out or Path(f"{Path(scene).stem}-compare")
@@ -112,8 +110,7 @@ def compare(scene: str, out: Path | None, samples: int, mc_samples: int | None, 
 @click.command(cls=Command)
 def doctor() -> None:
     """What is installed and usable: libraries, libLLVM, GPU, serial ports and cameras."""
-    from bssrdf.report.doctor import doctor_text, examine
-    from bssrdf.report.progress import stages
+    from bssrdf.report import doctor_text, examine, stages
 
     with stages("looking", quiet=is_quiet()):
         findings = examine()
@@ -136,7 +133,7 @@ def _refuse(paths: list[Path], force: bool) -> None:
 
 
 def _options(given: dict[str, Any], terms: str | None) -> Options:
-    from bssrdf.render.plugins import TERMS, Options
+    from bssrdf.render import TERMS, Options
 
     wanted = TERMS if terms is None else tuple(term.strip() for term in terms.split(","))
     for term in wanted:
@@ -149,7 +146,7 @@ def _options(given: dict[str, Any], terms: str | None) -> Options:
 
 def _subject(scene: str, given: dict[str, Any]) -> Scene | Path:
     """A scene of ours with what can be wrong about it said, or the path of a Mitsuba file."""
-    from bssrdf.render.check import remarks
+    from bssrdf.render import remarks
     from bssrdf.render.scenes.catalogue import build_scene
 
     if scene.endswith(".xml"):
@@ -171,7 +168,7 @@ def _subject(scene: str, given: dict[str, Any]) -> Scene | Path:
 def _mesh(path: Path | None, height_mm: float | None) -> Any:
     if path is None:
         return None
-    from bssrdf.render.mesh_file import read_mesh
+    from bssrdf.render import read_mesh
 
     mesh, remarks = read_mesh(path, height_mm=height_mm)
     for remark in remarks:
@@ -183,8 +180,7 @@ def _with_model(subject: Scene | Path, options: Options, model: str, explain: bo
     """The options with the model that was asked for, or that `auto` chooses."""
     from dataclasses import replace
 
-    from bssrdf.render.check import mc_refusal
-    from bssrdf.render.choose import RULE, Choice, choose
+    from bssrdf.render import RULE, Choice, choose_model, mc_refusal
 
     chosen: Any = model
     if isinstance(subject, Path):
@@ -192,7 +188,7 @@ def _with_model(subject: Scene | Path, options: Options, model: str, explain: bo
             raise UsageError(f"{subject}: --model mc needs a scene of ours; give the file a volpathmis and use mitsuba")
         chosen = "bssrdf" if model == "auto" else model
     elif model == "auto":
-        choice: Choice = choose(subject)
+        choice: Choice = choose_model(subject)
         chosen = choice.model
         click.echo(
             f"{RULE}\nchosen: {choice.model} ({choice.reason})" if explain else f"auto: {choice.model}", err=True
@@ -205,7 +201,7 @@ def _with_model(subject: Scene | Path, options: Options, model: str, explain: bo
 
 
 def _say_overlap(subject: Scene | Path) -> None:
-    from bssrdf.render.overlap import overlap_text
+    from bssrdf.render import overlap_text
 
     if not isinstance(subject, Path):
         for material in dict.fromkeys(body.material for body in subject.bodies.values()):

@@ -17,10 +17,9 @@ from bssrdf.fit.models import Making, beam_of, beside, table_of_medium
 from bssrdf.fit.solve import Solution, settle, start, starts_of
 from bssrdf.fit.terms import EXIT_MODES, TABLE_MODES, Constraint, Neighbours, Plan, Point, Problem, Sds, Shared, Source
 from bssrdf.session.records import Slice
+from bssrdf.transport import NORMAL, Policy
 from bssrdf.transport.arrays import NUMPY
-from bssrdf.transport.incidence import NORMAL
 from bssrdf.transport.light import Light, dipole
-from bssrdf.transport.white.store import Policy
 
 BATCH = 256
 """Rows that go through together: more would not fit the caches."""

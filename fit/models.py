@@ -8,10 +8,8 @@ from typing import Literal, NamedTuple
 
 from bssrdf.errors import InputError
 from bssrdf.session.records import Slice
-from bssrdf.transport.incidence import NORMAL, Incidence
+from bssrdf.transport import NORMAL, Incidence, Policy, Progress, allowed, nearest, place, shipped, table_model
 from bssrdf.transport.light import Dipole, Light, Table, dipole, table_of
-from bssrdf.transport.parallel import Progress
-from bssrdf.transport.white.store import Policy, allowed, nearest, place, shipped, table_model
 
 ModelName = Literal["auto", "dipole", "mc"]
 ASSUMED_G = 0.0

@@ -27,9 +27,8 @@ from bssrdf.fit.neighbours import bias, dipole_on_light, refitted, sensitivities
 from bssrdf.fit.terms import Constraint
 from bssrdf.fit.verdict import FEWEST, Extra, channel_fits, covariances, inflation, needs_profile
 from bssrdf.session.records import ChannelFit, Slice
-from bssrdf.transport.incidence import NORMAL
+from bssrdf.transport import NORMAL, Policy
 from bssrdf.transport.light import Light, Table, coefficients
-from bssrdf.transport.white.store import Policy
 
 OTHER_G = (0.0, 0.35, 0.6, 0.8, 0.9)
 ETA_AWAY = 0.1

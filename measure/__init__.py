@@ -1,29 +1,8 @@
-"""From a session's frames to merged images, and from these to the slice and the total reflectance.
+"""From a session's frames to merged images, and from these to the slice and the total reflectance."""
 
-The names below are imported when first used.
-"""
+from typing import TYPE_CHECKING
 
-from __future__ import annotations
-
-import importlib
-from typing import TYPE_CHECKING, Any
-
-_HOME = {
-    "calibrate_camera": "calibrate",
-    "radius_of_edge": "calibrate",
-    "radius_on_target": "calibrate",
-    "MEANING": "flags",
-    "Hdr": "hdr",
-    "Progress": "hdr",
-    "Sample": "hdr",
-    "Shot": "hdr",
-    "merge": "hdr",
-    "Image": "image",
-    "Measured": "session",
-    "measure_session": "session",
-    "Options": "slice",
-    "measure_slice": "slice",
-}
+from bssrdf.door import door
 
 if TYPE_CHECKING:
     from bssrdf.measure.calibrate import calibrate_camera as calibrate_camera
@@ -40,13 +19,5 @@ if TYPE_CHECKING:
     from bssrdf.measure.session import measure_session as measure_session
     from bssrdf.measure.slice import Options as Options
     from bssrdf.measure.slice import measure_slice as measure_slice
-
-
-def __getattr__(name: str) -> Any:
-    if name not in _HOME:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(importlib.import_module(f"{__name__}.{_HOME[name]}"), name)
-
-
-def __dir__() -> list[str]:
-    return sorted(_HOME)
+else:
+    __getattr__, __dir__, __all__ = door(__name__, __file__)

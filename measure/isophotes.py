@@ -20,8 +20,7 @@ from bssrdf.measure.image import Image
 from bssrdf.measure.reflectance import Total, blocks_of
 from bssrdf.measure.tail import Surroundings
 from bssrdf.session.records import Array, Session
-from bssrdf.transport.exit_azimuth import second_harmonic
-from bssrdf.transport.white.store import shipped
+from bssrdf.transport import second_harmonic, shipped
 
 LEAST_VIEW_DEG = 15.0
 """A view nearer to the normal foreshortens by less than 4 %."""

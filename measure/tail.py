@@ -18,7 +18,7 @@ from scipy.optimize import brentq, least_squares
 
 from bssrdf.measure.profile import Profile
 from bssrdf.session.records import Array
-from bssrdf.transport.discrete_ordinates import decay_constant, half_space
+from bssrdf.transport import decay_constant, half_space
 from bssrdf.transport.exit_radiance import boundary_a, transmittance
 
 _INNER_SHARE = 0.35

@@ -9,9 +9,8 @@ from bssrdf.render.check import mc_refusal
 from bssrdf.render.material import RenderMaterial
 from bssrdf.render.plugins import Model
 from bssrdf.render.scenes.record import Body, Scene
-from bssrdf.transport import dipole
+from bssrdf.transport import dipole, scoped_x64
 from bssrdf.transport.dipole import Medium
-from bssrdf.transport.precision import scoped_x64
 
 LEAST_ALBEDO = 0.6
 """α′ below which diffusion does not hold."""
@@ -37,7 +36,7 @@ class Choice(NamedTuple):
     reason: str
 
 
-def choose(scene: Scene) -> Choice:
+def choose_model(scene: Scene) -> Choice:
     """The model after RULE."""
     choices = [_choose_for(name, body, scene.camera.footprint_mm) for name, body in scene.bodies.items()]
     worst = max(choices, key=lambda choice: ("brdf", "bssrdf", "mc").index(choice.model))

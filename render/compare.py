@@ -41,7 +41,7 @@ class Score:
     """Of tiles, less the noise that their variances account for; may come out below 0."""
 
 
-def compare(
+def compare_models(
     scene: Scene | Path,
     options: Options,
     models: tuple[Model, ...],

@@ -13,7 +13,7 @@ from pathlib import Path
 from bssrdf.errors import InputError
 from bssrdf.session.fit_json import read_fit
 from bssrdf.session.records import Fit
-from bssrdf.transport.materials import CHANNELS, Rgb, find_material
+from bssrdf.transport import CHANNELS, Rgb, find_material
 
 HALF_ALBEDO = "Marble-half"
 """The hard case of the paper's section 5: marble with absorption raised to a reduced albedo of 0.5."""

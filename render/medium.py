@@ -21,8 +21,8 @@ from bssrdf.render.surface import (
     inversion_table,
     widest_coefficients,
 )
+from bssrdf.transport import scoped_x64
 from bssrdf.transport.fresnel import boundary_a, exit_norm
-from bssrdf.transport.precision import scoped_x64
 
 _SCALARS = ("eta", "g", "alpha", "boundary_a", "exit_norm")
 

@@ -5,12 +5,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from bssrdf.render.material import RenderMaterial
-from bssrdf.transport import dipole
+from bssrdf.transport import CHANNELS, dipole, first_order_total, scoped_x64, table_model
 from bssrdf.transport.dipole import Medium
-from bssrdf.transport.materials import CHANNELS
-from bssrdf.transport.precision import scoped_x64
-from bssrdf.transport.single import first_order_total
-from bssrdf.transport.white.store import table_model
 
 
 class Overlap(NamedTuple):

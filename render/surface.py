@@ -17,9 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bssrdf.errors import InputError
+from bssrdf.transport import scoped_x64
 from bssrdf.transport.dipole import total_r_of_ratio
 from bssrdf.transport.fresnel import exit_norm
-from bssrdf.transport.precision import scoped_x64
 
 PLUGIN = "bssrdf_medium"
 PAIRS = (("sigma_a", "sigma_sp"), ("reflectance", "mean_free_path"))

@@ -8,8 +8,8 @@ import re
 import subprocess
 from typing import NamedTuple
 
-from bssrdf.render.variant import ADVICE, MISSING, find_backend
-from bssrdf.rig.commands import rig_list
+from bssrdf.render import ADVICE, MISSING, find_backend
+from bssrdf.rig import rig_list
 
 _GPU_TIMEOUT_S = 20
 

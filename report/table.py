@@ -11,7 +11,7 @@ from typing import Any, Literal
 
 from bssrdf.report.repeats import combine
 from bssrdf.session.records import ChannelFit, Fit
-from bssrdf.transport.materials import load_materials, table_check, table_source
+from bssrdf.transport import load_materials, table_check, table_source
 
 Format = Literal["md", "csv", "json", "latex"]
 Row = dict[str, Any]

@@ -18,12 +18,8 @@ import numpy as np
 from bssrdf.fit.bare import bare
 from bssrdf.fit.models import tabulated
 from bssrdf.session.records import ChannelFit, Fit, Slice
-from bssrdf.transport import dipole
+from bssrdf.transport import DipoleModel, ForwardModel, MonteCarloMedium, dipole, scoped_x64, simulate, table_model
 from bssrdf.transport.dipole import Medium
-from bssrdf.transport.engine import MonteCarloMedium, simulate
-from bssrdf.transport.forward import DipoleModel, ForwardModel
-from bssrdf.transport.precision import scoped_x64
-from bssrdf.transport.white.store import table_model
 
 PHOTONS = 300_000
 BINS = 40

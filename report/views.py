@@ -9,7 +9,7 @@ import numpy as np
 
 from bssrdf.errors import InputError
 from bssrdf.session.records import Array, Slice
-from bssrdf.transport.convention import camera_factor
+from bssrdf.transport import camera_factor
 
 
 @dataclass(frozen=True)

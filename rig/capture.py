@@ -60,7 +60,7 @@ class Captured:
     drift: dict[str, float]
 
 
-def capture(
+def capture_session(
     plan_file: Path, rig_file: Path, session: Path, *, resume: bool = False, report: Report | None = None
 ) -> Captured:
     """Capture what the plan asks for into `session`, or go on with it.

@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from bssrdf.errors import BssrdfError, DeviceError, UsageError
-from bssrdf.rig.capture import Captured, Report, capture
+from bssrdf.rig.capture import Captured, Report, capture_session
 from bssrdf.rig.devices import devices_of, ports_of
 from bssrdf.rig.drivers import PARTS, names
 from bssrdf.rig.find import described
@@ -35,7 +35,7 @@ def run_capture(
     """Capture a session; `rig` is rig.toml in the working folder if not given, or the simulated bench."""
     truth = session.with_name(f"{session.name}.truth.json")
     with _bench(plan, rig, simulate, truth) as rig_file:
-        return capture(plan, rig_file, session, resume=resume, report=report)
+        return capture_session(plan, rig_file, session, resume=resume, report=report)
 
 
 def dry_run(plan: Path, session: Path, *, rig: Path | None = None, simulate: bool = False) -> str:
@@ -125,7 +125,7 @@ def _bench(plan: Path, rig: Path | None, simulate: bool, truth: Path | None = No
     if rig is not None:
         raise UsageError(f"--simulate brings its own bench; leave out --rig {rig}")
     from bssrdf.rig.sim.launch import simulated_bench
-    from bssrdf.rig.sim.samples import published_sample, white_tile
+    from bssrdf.rig.sim.media import published_sample, white_tile
     from bssrdf.rig.sim.scene import Scene
 
     scene = Scene(published_sample(read_plan(plan).material.name), white_tile())

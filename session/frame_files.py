@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from bssrdf.errors import InputError
 from bssrdf.session.file_kind import check_content
 from bssrdf.session.raw_file import RAW_SUFFIXES, read_raw
-from bssrdf.session.raw_frame import RawFrame
+from bssrdf.session.raw_frame import RawFrame, without_alpha
 from bssrdf.session.records import Card
 
 _TIFF, _PNM, _FITS = (".tif", ".tiff", ".btf", ".ome"), (".pgm", ".ppm", ".pnm", ".pfm"), (".fits", ".fit", ".fts")
@@ -91,7 +91,6 @@ def _read_encoded(path: Path, encoded: bool) -> RawFrame:
     """A frame for the fit of a response curve."""
     from bssrdf.session.oiio_file import read_image
     from bssrdf.session.raw_frame import exposure_of_tags, label
-    from bssrdf.session.tiff_file import without_alpha
 
     if not encoded:
         raise InputError(

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from bssrdf.errors import InputError
-from bssrdf.session.raw_frame import RawFrame
+from bssrdf.session.raw_frame import RawFrame, without_alpha
 from bssrdf.session.records import Card
 
 _SIGNATURE = b"\x89PNG\r\n\x1a\n"
@@ -21,7 +21,6 @@ _LINEAR_TRANSFER = 8
 def read_png(path: Path) -> list[RawFrame]:
     """The picture; InputError where it has 8 bits, which cameras bend, or says that it is gamma encoded."""
     from bssrdf.session.oiio_file import read_image
-    from bssrdf.session.tiff_file import without_alpha
 
     image = read_image(path)
     chunks = dict(_chunks(path.read_bytes()))

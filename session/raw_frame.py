@@ -6,11 +6,13 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import datetime
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bssrdf.errors import InputError
 from bssrdf.session.records import Card
 
 MACHINE_VISION_REL_SD = 1e-3
@@ -130,3 +132,14 @@ def _listed(value: Any) -> list[Any]:
 def _orientation(value: Any) -> int | None:
     number = real(value)
     return int(number) if number is not None and 1 <= number <= 8 else None
+
+
+def without_alpha(path: Path, data: NDArray[Any]) -> NDArray[Any]:
+    """The picture where its last channel is opaque everywhere."""
+    opaque = np.iinfo(data.dtype).max if data.dtype.kind in "ui" else 1.0
+    if not (data[..., -1] == opaque).all():
+        channels = data.shape[2]
+        raise InputError(
+            f"{path}: has {channels} channels, the last not opaque; save one (mosaic or mono) or three (RGB)"
+        )
+    return data[..., :-1]

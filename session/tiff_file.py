@@ -28,6 +28,7 @@ from bssrdf.session.raw_frame import (
     positive,
     real,
     time_of_tags,
+    without_alpha,
 )
 
 logging.getLogger("tifffile").setLevel(logging.CRITICAL)  # what is wrong with a file is said by our own exception
@@ -216,17 +217,6 @@ def _decoded(path: Path, page: Any) -> NDArray[Any]:
         except InputError:
             raise InputError(f"{path}: is compressed by {name}; `pip install 'bssrdf[formats]'` reads it") from error
         return data if spare <= 0 or data.dtype != np.uint16 else data >> spare  # OpenImageIO aligns bits high
-
-
-def without_alpha(path: Path, data: NDArray[Any]) -> NDArray[Any]:
-    """The picture where its last channel is opaque everywhere."""
-    opaque = np.iinfo(data.dtype).max if data.dtype.kind in "ui" else 1.0
-    if not (data[..., -1] == opaque).all():
-        channels = data.shape[2]
-        raise InputError(
-            f"{path}: has {channels} channels, the last not opaque; save one (mosaic or mono) or three (RGB)"
-        )
-    return data[..., :-1]
 
 
 def plain(data: NDArray[Any]) -> NDArray[Any]:

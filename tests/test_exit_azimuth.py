@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from numba import njit
 
-from bssrdf.rig.sim.light import SampleMedium, SeenLight, r_edges_mfp
+from bssrdf.rig.sim.light import SeenLight
+from bssrdf.rig.sim.media import SampleMedium, r_edges_mfp
 from bssrdf.rig.sim.walked_light import walked
 from bssrdf.transport.dipole import Medium
 from bssrdf.transport.forward import ACROSS, WHOLE_CIRCLE

@@ -21,7 +21,7 @@ from bssrdf.cli import cli
 from bssrdf.commands.console import run
 from bssrdf.errors import DeviceError, InputError
 from bssrdf.rig import pulse_test
-from bssrdf.rig.capture import capture
+from bssrdf.rig.capture import capture_session
 from bssrdf.rig.commands import rig_close, rig_status
 from bssrdf.rig.devices import devices_of
 from bssrdf.rig.find import described
@@ -308,12 +308,12 @@ def test_a_session_with_the_firmware_is_that_of_the_simulated_controller_frame_b
     pytest.importorskip("gphoto2", reason="python-gphoto2 is not installed")
     plan = tmp_path / "plan.toml"
     plan.write_text(PLAN, encoding="utf-8")
-    capture(plan, chip_bench.rig_file, tmp_path / "with_chip")
+    capture_session(plan, chip_bench.rig_file, tmp_path / "with_chip")
     assert comes_to(chip_bench, False)
     (tmp_path / "python").mkdir()
     other = SimulatedBench(tmp_path / "python", small_scene(), shutter="scpi", speed=SPEED)
     try:
-        capture(plan, other.rig_file, tmp_path / "without")
+        capture_session(plan, other.rig_file, tmp_path / "without")
     finally:
         other.stop()
     sessions = [tmp_path / "with_chip", tmp_path / "without"]

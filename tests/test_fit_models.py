@@ -15,7 +15,8 @@ from bssrdf.fit.layout import row_of, sight_of, stack
 from bssrdf.fit.observe import azimuths, seen_at
 from bssrdf.fit.run import FitOptions, fit_slices
 from bssrdf.fit.setting import setting_flags
-from bssrdf.rig.sim.light import SampleMedium, seen_light
+from bssrdf.rig.sim.light import seen_light
+from bssrdf.rig.sim.media import SampleMedium
 from bssrdf.session.records import ChannelFit, ChannelSlice, Material, Slice
 from bssrdf.transport.arrays import NUMPY
 from bssrdf.transport.convention import camera_factor

@@ -19,7 +19,8 @@ from bssrdf.fit.neighbours import refitted, table_error
 from bssrdf.fit.run import FitOptions, fit_slices
 from bssrdf.fit.solve import settle
 from bssrdf.fit.terms import Point, Weights
-from bssrdf.rig.sim.light import SampleMedium, seen_light
+from bssrdf.rig.sim.light import seen_light
+from bssrdf.rig.sim.media import SampleMedium
 from bssrdf.session.records import ChannelSlice, Slice
 from bssrdf.transport.arrays import NUMPY
 from bssrdf.transport.dipole import Medium, rd, total_r

@@ -11,8 +11,8 @@ import pytest
 from bssrdf.bench.trial_light import shipped
 from bssrdf.bench.trials import Drawn, slices_of
 from bssrdf.fit.run import FitOptions, fit_slices
-from bssrdf.report.fit_text import fit_text
 from bssrdf.report.table import fits_table
+from bssrdf.report.text import fit_text
 from bssrdf.session.records import ChannelFit, Fit, Slice
 
 CELLS = ("Marble G", "Skin1 G", "Chicken1 R", "Wholemilk R")

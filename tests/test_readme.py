@@ -12,9 +12,9 @@ import pytest
 
 from bssrdf.cli import cli
 from bssrdf.commands.console import run
+from bssrdf.rig.sim.media import published_sample, white_tile
 from bssrdf.rig.sim.picture import picture
 from bssrdf.rig.sim.raw_files import dng_bytes
-from bssrdf.rig.sim.samples import published_sample, white_tile
 from bssrdf.rig.sim.scene import Scene
 from bssrdf.rig.sim.sensor import Sensor, expose, mosaic
 

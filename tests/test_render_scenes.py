@@ -10,7 +10,7 @@ import pytest
 
 from bssrdf.errors import InputError, UsageError
 from bssrdf.render.check import mc_refusal, remarks
-from bssrdf.render.choose import LEAST_ALBEDO, WIDE, choose, spread_mm
+from bssrdf.render.choose import LEAST_ALBEDO, WIDE, choose_model, spread_mm
 from bssrdf.render.head import head_distance, head_mesh
 from bssrdf.render.lathe import turned
 from bssrdf.render.material import HALF_ALBEDO, RenderMaterial, find_medium, medium_of_fit
@@ -156,15 +156,15 @@ def test_a_light_spreads_by_its_diffuse_mean_free_path_and_without_absorption_by
 
 def test_auto_takes_the_cheapest_model_that_holds() -> None:
     spread = max(spread_mm(MARBLE))
-    assert choose(ball_of(MARBLE, 1.1 * WIDE * spread)).model == "bssrdf"
-    assert choose(ball_of(MARBLE, 0.9 * WIDE * spread)).model == "mc"
-    assert choose(ball_of(MARBLE, 100 * spread, footprint_mm=1.1 * spread)).model == "brdf"
+    assert choose_model(ball_of(MARBLE, 1.1 * WIDE * spread)).model == "bssrdf"
+    assert choose_model(ball_of(MARBLE, 0.9 * WIDE * spread)).model == "mc"
+    assert choose_model(ball_of(MARBLE, 100 * spread, footprint_mm=1.1 * spread)).model == "brdf"
     dark = dataclasses.replace(MARBLE, sigma_a=tuple(sp * (1 / LEAST_ALBEDO - 0.9) for sp in MARBLE.sigma_sp))
-    assert choose(ball_of(dark, 1000)).model == "mc"
+    assert choose_model(ball_of(dark, 1000)).model == "mc"
 
 
 def test_auto_does_not_take_a_model_that_cannot_render_the_scene() -> None:
     block = build_scene("block")
     assert mc_refusal(block)
-    assert choose(block).model == "bssrdf"
+    assert choose_model(block).model == "bssrdf"
     assert mc_refusal(build_scene("block", roughness=0.3)) is None

@@ -11,10 +11,10 @@ from dataclasses import replace
 import pytest
 
 from bssrdf.fit.flags import MEANING
-from bssrdf.report.fit_text import fit_text
 from bssrdf.report.progress import stages, steps
 from bssrdf.report.repeats import combine
 from bssrdf.report.table import fits_table, format_rows
+from bssrdf.report.text import fit_text
 from bssrdf.session.records import ChannelFit, Fit
 
 CHANNEL = ChannelFit(

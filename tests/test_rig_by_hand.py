@@ -27,7 +27,7 @@ from bssrdf.bench.capture import (
     small_scene,
 )
 from bssrdf.errors import DeviceError
-from bssrdf.rig.capture import capture
+from bssrdf.rig.capture import capture_session
 from bssrdf.rig.commands import dry_run, rig_close
 from bssrdf.rig.interrupts import Interrupts
 from bssrdf.rig.locks import lock_ports
@@ -114,7 +114,7 @@ def test_a_script_that_brings_an_old_frame_again_is_found_out(mended: SimulatedB
     text = re.sub(r"expose = .*", f"expose = \"sh -c 'cp {tmp_path}/old.tif $1.tif' {{exposure_s}} {{out}}\"", text)
     hand.rig_file.write_text(text, encoding="utf-8")
     with pytest.raises(DeviceError, match=r"it is the file of frames/001_sample_16ms\.tif again"):
-        capture(plan, hand.rig_file, tmp_path / "s")
+        capture_session(plan, hand.rig_file, tmp_path / "s")
 
 
 def test_a_dry_run_counts_moves_by_hand_and_writes_nothing(

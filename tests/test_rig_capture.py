@@ -16,7 +16,7 @@ import pytest
 
 from bssrdf.bench.capture import N_FRAMES, Campaign, every_fault, file_safety_ms, small_scene
 from bssrdf.errors import DeviceError, UsageError
-from bssrdf.rig.capture import Event, capture
+from bssrdf.rig.capture import Event, capture_session
 from bssrdf.rig.commands import dry_run, rig_close, rig_status, run_capture
 from bssrdf.rig.devices import devices_of
 from bssrdf.rig.locks import lock_ports
@@ -98,7 +98,7 @@ EXPECTED = [
 
 
 def test_every_shutter_gives_the_same_list_of_frames(mended: SimulatedBench, plan: Path, tmp_path: Path) -> None:
-    done = capture(plan, mended.rig_file, tmp_path / "s")
+    done = capture_session(plan, mended.rig_file, tmp_path / "s")
     assert listed(tmp_path / "s") == EXPECTED
     assert all(abs(change) < 0.003 for change in done.drift.values())
     assert set(done.drift) == {"sample", "reference"}
@@ -124,7 +124,7 @@ def test_a_camera_whose_setting_changes_is_stopped_by_name(
 
     monkeypatch.setattr("bssrdf.rig.capture.card_of_file", turned)
     with pytest.raises(DeviceError, match=r"it has f-number 8, not 5\.6 as frames/001_reference_16ms\.dng"):
-        capture(plan, mended.rig_file, tmp_path / "s")
+        capture_session(plan, mended.rig_file, tmp_path / "s")
     assert listed(tmp_path / "s") == EXPECTED[:1]
     assert not mended.world.status()["open"]
 
@@ -143,7 +143,7 @@ def test_metering_chooses_exposures_from_unsaturated_to_the_faint_border(
     mended: SimulatedBench, plan: Path, tmp_path: Path
 ) -> None:
     plan.write_text(PLAN.replace("list_s = [0.016, 0.001]", "auto = true"), encoding="utf-8")
-    capture(plan, mended.rig_file, tmp_path / "s")
+    capture_session(plan, mended.rig_file, tmp_path / "s")
     frames = read_frames(tmp_path / "s")
     shortest = min((frame for frame in frames if frame.kind == "sample"), key=lambda frame: frame.exposure_s)
     image = read_frame_file(tmp_path / "s" / shortest.file)
@@ -156,31 +156,31 @@ def test_a_session_is_not_written_over_and_not_resumed_with_another_plan(
     mended: SimulatedBench, plan: Path, tmp_path: Path
 ) -> None:
     with pytest.raises(UsageError, match="holds no capture to go on with"):
-        capture(plan, mended.rig_file, tmp_path / "s", resume=True)
-    capture(plan, mended.rig_file, tmp_path / "s")
+        capture_session(plan, mended.rig_file, tmp_path / "s", resume=True)
+    capture_session(plan, mended.rig_file, tmp_path / "s")
     with pytest.raises(UsageError, match="exists already"):
-        capture(plan, mended.rig_file, tmp_path / "s")
-    assert capture(plan, mended.rig_file, tmp_path / "s", resume=True).taken_now == 0
+        capture_session(plan, mended.rig_file, tmp_path / "s")
+    assert capture_session(plan, mended.rig_file, tmp_path / "s", resume=True).taken_now == 0
     plan.write_text(PLAN.replace("0.001]", "0.002]"), encoding="utf-8")
     with pytest.raises(UsageError, match="another plan"):
-        capture(plan, mended.rig_file, tmp_path / "s", resume=True)
+        capture_session(plan, mended.rig_file, tmp_path / "s", resume=True)
 
 
 def test_a_changed_frame_is_found_when_resuming(mended: SimulatedBench, plan: Path, tmp_path: Path) -> None:
-    capture(plan, mended.rig_file, tmp_path / "s")
+    capture_session(plan, mended.rig_file, tmp_path / "s")
     file = tmp_path / "s" / EXPECTED[2][0]
     content = bytearray(file.read_bytes())
     content[-1] ^= 1
     file.write_bytes(content)
     with pytest.raises(Exception, match="changed since its capture"):
-        capture(plan, mended.rig_file, tmp_path / "s", resume=True)
+        capture_session(plan, mended.rig_file, tmp_path / "s", resume=True)
 
 
 def test_a_port_in_use_is_refused_by_name(mended: SimulatedBench, plan: Path, tmp_path: Path) -> None:
     port = str(mended.folder / "shutter")
     with lock_ports({port}), pytest.raises(DeviceError, match=f"in use by process {os.getpid()}"):
-        capture(plan, mended.rig_file, tmp_path / "s")
-    capture(plan, mended.rig_file, tmp_path / "s")
+        capture_session(plan, mended.rig_file, tmp_path / "s")
+    capture_session(plan, mended.rig_file, tmp_path / "s")
 
 
 def test_all_devices_that_fail_are_named_at_once(mended: SimulatedBench, plan: Path, tmp_path: Path) -> None:
@@ -189,7 +189,7 @@ def test_all_devices_that_fail_are_named_at_once(mended: SimulatedBench, plan: P
     text = text.replace(str(mended.folder / "shutter"), str(tmp_path / "nothing")).replace('iso = "100"', 'iso = "77"')
     broken.write_text(text, encoding="utf-8")
     with pytest.raises(DeviceError, match=r"nothing: cannot be opened.*iso cannot be 77; the camera offers 100, 200"):
-        capture(plan, broken, tmp_path / "s")
+        capture_session(plan, broken, tmp_path / "s")
 
 
 def test_a_camera_that_hangs_is_reported_within_its_deadline(
@@ -198,7 +198,7 @@ def test_a_camera_that_hangs_is_reported_within_its_deadline(
     mended.world.arm("camera", "no_event")
     start = time.monotonic()
     with pytest.raises(DeviceError, match=r"gphoto2 camera on ptpip.*no file in time"):
-        capture(plan, mended.rig_file, tmp_path / "s")
+        capture_session(plan, mended.rig_file, tmp_path / "s")
     assert time.monotonic() - start < 8
     assert not mended.world.status()["lit"]
 
@@ -215,8 +215,8 @@ def test_the_panic_button_closes_an_open_shutter(mended: SimulatedBench) -> None
 
 
 def in_a_process(plan: Path, rig: Path, session: Path) -> subprocess.Popen[bytes]:
-    code = "import sys; from pathlib import Path as P; from bssrdf.rig.capture import capture; "
-    code += "capture(*map(P, sys.argv[1:]))"
+    code = "import sys; from pathlib import Path as P; from bssrdf.rig.capture import capture_session; "
+    code += "capture_session(*map(P, sys.argv[1:]))"
     return subprocess.Popen([sys.executable, "-c", code, str(plan), str(rig), str(session)], stderr=subprocess.PIPE)
 
 
@@ -241,7 +241,7 @@ def test_a_signal_stops_the_capture_with_the_shutter_closed(
     assert process.returncode
     assert b"KeyboardInterrupt" in said
     assert not mended.world.status()["lit"]
-    assert capture(plan, mended.rig_file, tmp_path / "s", resume=True).frames == N_FRAMES
+    assert capture_session(plan, mended.rig_file, tmp_path / "s", resume=True).frames == N_FRAMES
     assert listed(tmp_path / "s") == EXPECTED
 
 
@@ -255,7 +255,7 @@ def test_a_first_ctrl_c_finishes_the_frame(mended: SimulatedBench, plan: Path, t
             finished.append(event.step.name)
 
     with pytest.raises(KeyboardInterrupt):
-        capture(plan, mended.rig_file, tmp_path / "s", report=interrupt)
+        capture_session(plan, mended.rig_file, tmp_path / "s", report=interrupt)
     assert finished[-1] == "003_reference_1ms"
     assert [frame[0] for frame in listed(tmp_path / "s")] == [frame[0] for frame in EXPECTED[:3]]
 
@@ -316,5 +316,5 @@ def test_no_wait_of_ours_lets_the_controller_s_watchdog_put_out_the_light(
     monkeypatch.setattr(SimulatedOperator, "lay", slowly)
     text = PLAN.replace("settle_s = 0.0", f"settle_s = {1.7 * mended.speed}\ndrift_check = false")
     plan.write_text(text.replace("0.016, 0.001", "0.016"), encoding="utf-8")
-    capture(plan, mended.rig_file, tmp_path / "s")
+    capture_session(plan, mended.rig_file, tmp_path / "s")
     assert len(read_frames(tmp_path / "s")) == 4

@@ -11,7 +11,7 @@ import pytest
 from bssrdf.bench.capture import small_scene
 from bssrdf.errors import DeviceError
 from bssrdf.rig.camera_settings import unfit
-from bssrdf.rig.capture import capture
+from bssrdf.rig.capture import capture_session
 from bssrdf.rig.sim.launch import SimulatedBench
 from bssrdf.session.frame_files import read_frame_file
 from bssrdf.session.frames_csv import read_frames
@@ -47,7 +47,7 @@ def captured(bench: SimulatedBench, folder: Path, habit: str, times: str = "0.12
     plan, session = folder / "plan.toml", folder / "s"
     plan.write_text(PLAN.replace("TIMES", times), encoding="utf-8")
     bench.world.arm("camera", habit)
-    capture(plan, bench.rig_file, session)
+    capture_session(plan, bench.rig_file, session)
     return session
 
 

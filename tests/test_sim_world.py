@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from near_world import NearWorld
 
-from bssrdf.rig.sim.light import SampleMedium, r_edges_mfp, seen_light, unit_medium
+from bssrdf.rig.sim.light import seen_light
+from bssrdf.rig.sim.media import SampleMedium, r_edges_mfp, unit_medium
 from bssrdf.rig.sim.scpi_device import Scpi
 from bssrdf.rig.sim.serial_devices import Sc10, Uniblitz
 from bssrdf.rig.sim.walked_light import walked

@@ -1,6 +1,6 @@
 """How the beam meets the surface, and the light that an oblique beam gives after one scattering. Lengths in 1/σt.
 
-NumPy alone, as `table_assembly` needs it.
+NumPy alone, as `white.assembly` needs it.
 """
 
 from __future__ import annotations

@@ -122,7 +122,7 @@ class Dipole(NamedTuple):
 
 
 class Table(NamedTuple):
-    """The white Monte Carlo table of one η and g; see `table_assembly` for the arrays."""
+    """The white Monte Carlo table of one η and g; see `white.assembly` for the arrays."""
 
     eta: float
     g: float

@@ -5,12 +5,12 @@ from collections.abc import Callable
 from typing import ParamSpec, TypeAlias, TypeVar
 
 import jax
-from jaxtyping import Array, Float
+from jax import Array
 
 P = ParamSpec("P")
 T = TypeVar("T")
 
-Real: TypeAlias = Float[Array, "..."] | float
+Real: TypeAlias = Array | float
 """A number or an array; arrays broadcast by equal rank, else with an explicit axis of length 1."""
 
 

@@ -16,33 +16,13 @@ import numpy as np
 import platformdirs
 from numpy.typing import NDArray
 
+from bssrdf.rig.sim.media import SampleMedium, r_edges_mfp, unit_medium
 from bssrdf.session.atomic import atomic_write
 
 Array = NDArray[np.float64]
 
-_BINS_PER_E_FOLD = 10
-_REACH_MFP = (0.005, 2000.0)
-"""Innermost and outermost edge of the radial bins above 0, in reduced mean free paths."""
 SHIPPED = "light.npz"
 """File beside this one."""
-
-
-@dataclass(frozen=True)
-class SampleMedium:
-    """One channel of a sample."""
-
-    sigma_a: float
-    sigma_sp: float
-    eta: float
-    g: float = 0.0
-
-
-@dataclass(frozen=True)
-class Sample:
-    """What can lie under the beam: a half space, by its coefficients in each channel."""
-
-    name: str
-    media: dict[str, SampleMedium]
 
 
 @dataclass(frozen=True)
@@ -85,21 +65,9 @@ def seen_light(
     return SeenLight(r_edges_mfp() / (medium.sigma_a + medium.sigma_sp), rows[0], rows[2:, :-1], rows[1])
 
 
-def unit_medium(medium: SampleMedium) -> SampleMedium:
-    """The medium of the same albedo whose σt′ is 1."""
-    loss = float(f"{medium.sigma_a / (medium.sigma_a + medium.sigma_sp):.9g}")
-    return SampleMedium(loss, 1 - loss, medium.eta, medium.g)
-
-
 def light_key(unit: SampleMedium, view_angle_deg: float) -> str:
     """Name of a walk in the shipped file."""
     return f"{unit.sigma_a:.9g},{unit.eta:g},{unit.g:g},{view_angle_deg:g}"
-
-
-def r_edges_mfp() -> Array:
-    """Edges of the radial bins in mean free paths 1/σt′, from 0."""
-    lo, hi = np.log(_REACH_MFP)
-    return np.concatenate([[0.0], np.exp(np.linspace(lo, hi, round(_BINS_PER_E_FOLD * (hi - lo))))])
 
 
 @functools.cache

@@ -10,11 +10,11 @@ from pathlib import Path
 
 import numpy as np
 
-from bssrdf.rig.sim.light import SHIPPED, SampleMedium, light_key, unit_medium
-from bssrdf.rig.sim.samples import published_sample
+from bssrdf.rig.sim.light import SHIPPED, light_key
+from bssrdf.rig.sim.media import SampleMedium, published_sample, unit_medium
 from bssrdf.rig.sim.walked_light import walked
 from bssrdf.session.atomic import atomic_write
-from bssrdf.transport.materials import load_materials
+from bssrdf.transport import load_materials
 
 VIEW_ANGLE_DEG = 45.0
 PHOTONS = (700_000, 5_000_000)

@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bssrdf.rig.sim.light import Sample, SampleMedium, SeenLight, seen_light
+from bssrdf.rig.sim.light import SeenLight, seen_light
+from bssrdf.rig.sim.media import Sample, SampleMedium
 from bssrdf.rig.sim.picture import View, picture
 from bssrdf.rig.sim.sensor import Sensor, mosaic
 

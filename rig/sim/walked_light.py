@@ -11,12 +11,10 @@ from numpy.typing import NDArray
 from scipy.interpolate import make_lsq_spline
 from scipy.ndimage import median_filter
 
-from bssrdf.rig.sim.light import SampleMedium, r_edges_mfp
+from bssrdf.rig.sim.media import SampleMedium, r_edges_mfp
 from bssrdf.rig.sim.peel_off import peel_off
-from bssrdf.transport.discrete_ordinates import decay_constant
-from bssrdf.transport.engine import MonteCarloMedium, simulate
+from bssrdf.transport import MonteCarloMedium, decay_constant, run_all, simulate
 from bssrdf.transport.exit_radiance import angle_weights, transmittance
-from bssrdf.transport.parallel import run_all
 from bssrdf.transport.photon import stream_states
 
 Array = NDArray[np.float64]

@@ -1,6 +1,6 @@
 """The light of a white Monte Carlo table in JAX. Lengths in mm, coefficients in 1/mm.
 
-R_d(r) is light scattered once, known exactly, plus that scattered twice or more, from the table (see `table_fit`). The
+R_d(r) is light scattered once, known exactly, plus that scattered twice or more, from the table (see `smooth`). The
 integral of both over the surface is the total by discrete ordinates.
 """
 
@@ -18,6 +18,7 @@ from bssrdf.transport.forward import Azimuths
 from bssrdf.transport.fresnel import fresnel_t
 from bssrdf.transport.precision import Real
 from bssrdf.transport.single import phase_hg
+from bssrdf.transport.white.coefficients import Coefficients
 from bssrdf.transport.white.grid import (
     N_U_CELLS,
     N_U_COARSE,
@@ -30,18 +31,17 @@ from bssrdf.transport.white.grid import (
     V_MAX,
     W_MAX,
 )
-from bssrdf.transport.white.model import TableModel
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(12)
 
 
-def rd(table: TableModel, medium: Medium, r: Real) -> Float[Array, "..."]:
+def rd(table: Coefficients, medium: Medium, r: Real) -> Float[Array, "..."]:
     """R_d(r) [1/mm²]; raises InputError outside the table where the values are known."""
     check(medium, r)
     return _first(table, medium, r) + _multiple(table, medium, r)
 
 
-def bin_average(table: TableModel, medium: Medium, r_lo: Real, r_hi: Real) -> Float[Array, "..."]:
+def bin_average(table: Coefficients, medium: Medium, r_lo: Real, r_hi: Real) -> Float[Array, "..."]:
     """Mean of R_d over the annulus [r_lo, r_hi], weighted by r dr."""
     check(medium, r_hi)
     at_nodes = Medium(*(_with_nodes(field) for field in medium))
@@ -54,13 +54,13 @@ def bin_average(table: TableModel, medium: Medium, r_lo: Real, r_hi: Real) -> Fl
     return (ring * light).sum(axis=0) / ring.sum(axis=0)
 
 
-def total(table: TableModel, medium: Medium) -> Float[Array, "..."]:
+def total(table: Coefficients, medium: Medium) -> Float[Array, "..."]:
     """Total diffuse reflectance."""
     check(medium, 0.0)
     return medium.albedo_p * jnp.exp(-_cubic(table.log_total, _u(medium)))
 
 
-def radiance(table: TableModel, medium: Medium, r: Real, mu: Real, azimuths: Azimuths) -> Float[Array, "..."]:
+def radiance(table: Coefficients, medium: Medium, r: Real, mu: Real, azimuths: Azimuths) -> Float[Array, "..."]:
     """π L [1/mm²] at radius r > 0 towards the outside cosine `mu`, a mean over `azimuths`.
 
     The odd harmonics are left out, which the two sides of a spot cancel, and the even ones go as the second does.
@@ -77,7 +77,7 @@ def radiance(table: TableModel, medium: Medium, r: Real, mu: Real, azimuths: Azi
     return multiple + azimuths.along * _first_radiance(table, medium, r, mu)
 
 
-def total_radiance_factor(table: TableModel, medium: Medium, mu: Real) -> Float[Array, "..."]:
+def total_radiance_factor(table: Coefficients, medium: Medium, mu: Real) -> Float[Array, "..."]:
     """π L/R over the whole surface towards the outside cosine `mu`: 1 for a Lambertian surface."""
     check(medium, 0.0)
     u = _u(medium)
@@ -106,7 +106,7 @@ def check(medium: Medium, r: Real) -> None:
 
 
 @jax.jit
-def _first(table: TableModel, medium: Medium, r: Real) -> Float[Array, "..."]:
+def _first(table: Coefficients, medium: Medium, r: Real) -> Float[Array, "..."]:
     sigma_s = medium.sigma_sp / (1 - table.g)
     sigma_t = sigma_s + medium.sigma_a
     rho = sigma_t * r
@@ -115,7 +115,7 @@ def _first(table: TableModel, medium: Medium, r: Real) -> Float[Array, "..."]:
 
 
 @jax.jit
-def _first_radiance(table: TableModel, medium: Medium, r: Real, mu: Real) -> Float[Array, "..."]:
+def _first_radiance(table: Coefficients, medium: Medium, r: Real, mu: Real) -> Float[Array, "..."]:
     """π L⁽¹⁾, the mean over all azimuths; see `single.first_order_bin_average` for the geometry."""
     sine = jnp.sqrt(1 - jnp.square(mu))
     inside = jnp.sqrt(1 - jnp.square(sine / table.eta))
@@ -127,7 +127,7 @@ def _first_radiance(table: TableModel, medium: Medium, r: Real, mu: Real) -> Flo
 
 
 @jax.jit
-def _multiple(table: TableModel, medium: Medium, r: Real) -> Float[Array, "..."]:
+def _multiple(table: Coefficients, medium: Medium, r: Real) -> Float[Array, "..."]:
     u = _u(medium)
     x = medium.sigma_tp * r
     ratio = medium.sigma_a / medium.sigma_tp

@@ -1,14 +1,15 @@
-"""The white Monte Carlo table of one η and g: numbers, and a forward model of them. JAX comes when light is asked for.
+"""The forward model that a white Monte Carlo table is. JAX comes when light is asked for; `light` has the equations.
 
-Lengths in mm, coefficients in 1/mm. The equations are in `table_light`.
+Lengths in mm, coefficients in 1/mm.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+from bssrdf.transport.white.coefficients import Coefficients
 from bssrdf.transport.white.grid import Q_MAX, R_MAX
 
 if TYPE_CHECKING:
@@ -19,29 +20,8 @@ if TYPE_CHECKING:
     from bssrdf.transport.precision import Real
 
 
-class TableModel(NamedTuple):
-    """Monte Carlo light of a half space of one η and g, as spline coefficients; `table_assembly` makes it.
-
-    Its arrays are NumPy's; as a pytree it goes into compiled functions as it is.
-    """
-
-    eta: Any
-    g: Any
-    log_curve: Any
-    """(u, 4, v): S of `table_fit`; along u splines' coefficients, along v cubics by cell."""
-    log_curve_sd: Any
-    """(q, v): its standard error at the knots: relative error of the light scattered twice or more."""
-    diffusion_ratio: Any
-    """(4, u): κ²/(3 σa σt′), 1 at albedo 1."""
-    log_total: Any
-    """(4, u): −ln(R/α′)."""
-    first: Any
-    """(4, w): ln(ρ R⁽¹⁾/(σs σt)) + first_decay ρ along ln(1 + ρ/RHO_ZERO), ρ = σt r."""
-    first_decay: Any
-    angles: Any
-    """(u, k, 4, v): shape of the exit radiance of the light scattered twice or more, see `table_fit`."""
-    total_angles: Any
-    """(k, 4, u): the same of the total, over all azimuths."""
+class TableModel(Coefficients):
+    """A forward model by the table of one η and g."""
 
     @property
     def name(self) -> str:
@@ -65,30 +45,30 @@ class TableModel(NamedTuple):
 
     def rd(self, medium: Medium, r: Real) -> Float[Array, "..."]:
         """R_d(r) [1/mm²]; raises InputError outside the table where the values are known."""
-        from bssrdf.transport.white import light as table_light
+        from bssrdf.transport.white import light
 
-        return table_light.rd(self, medium, r)
+        return light.rd(self, medium, r)
 
     def bin_average(self, medium: Medium, r_lo: Real, r_hi: Real) -> Float[Array, "..."]:
         """Mean of R_d over the annulus [r_lo, r_hi], weighted by r dr."""
-        from bssrdf.transport.white import light as table_light
+        from bssrdf.transport.white import light
 
-        return table_light.bin_average(self, medium, r_lo, r_hi)
+        return light.bin_average(self, medium, r_lo, r_hi)
 
     def total(self, medium: Medium) -> Float[Array, "..."]:
         """Total diffuse reflectance."""
-        from bssrdf.transport.white import light as table_light
+        from bssrdf.transport.white import light
 
-        return table_light.total(self, medium)
+        return light.total(self, medium)
 
     def radiance(self, medium: Medium, r: Real, mu: Real, azimuths: Azimuths) -> Float[Array, "..."]:
         """π L [1/mm²] at radius r > 0 towards the outside cosine `mu`, a mean over `azimuths`."""
-        from bssrdf.transport.white import light as table_light
+        from bssrdf.transport.white import light
 
-        return table_light.radiance(self, medium, r, mu, azimuths)
+        return light.radiance(self, medium, r, mu, azimuths)
 
     def total_radiance_factor(self, medium: Medium, mu: Real) -> Float[Array, "..."]:
         """π L/R over the whole surface towards the outside cosine `mu`: 1 for a Lambertian surface."""
-        from bssrdf.transport.white import light as table_light
+        from bssrdf.transport.white import light
 
-        return table_light.total_radiance_factor(self, medium, mu)
+        return light.total_radiance_factor(self, medium, mu)

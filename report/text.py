@@ -1,11 +1,16 @@
-"""A fit in words and numbers, for a person at a terminal."""
+"""What measuring and fitting found, in words and numbers, for a person at a terminal."""
 
 from __future__ import annotations
 
 import math
+from typing import TYPE_CHECKING
 
 from bssrdf.fit.flags import MEANING
+from bssrdf.measure import MEANING as MEASURED
 from bssrdf.session.records import ChannelFit, Fit
+
+if TYPE_CHECKING:
+    from bssrdf.measure import Measured
 
 
 def fit_text(fit: Fit) -> str:
@@ -51,3 +56,30 @@ def _with_error(value: float, sd: float) -> str:
         return f"{value:.3g}"
     digits = max(1 - math.floor(math.log10(sd)), 0)
     return f"{value:.{digits}f} ± {sd:.{digits}f}"
+
+
+def measured_text(measured: Measured) -> str:
+    """The images made; with a slice, R and the extent of the curve by channel, and the flags."""
+    lines = [f"merged {kind}: {' × '.join(map(str, hdr.radiance.shape))}" for kind, hdr in measured.images.items()]
+    if measured.slice is not None:
+        for name, channel in measured.slice.channels.items():
+            total = "no R, saturated"
+            if name in measured.slice.total_r:
+                sd = measured.slice.total_r_sd[name]
+                total = f"R {measured.slice.total_r[name]:.4f} ± {sd:.4f} as the camera saw it"
+            reach = f"{channel.r_mm[0]:.2g}–{channel.r_mm[-1]:.3g} mm"
+            lines.append(f"{name}: {total}, {len(channel.r_mm)} radii, {reach}")
+        found = measured.provenance.get("found", {})
+        for image, seen in measured.slice.provenance.get("isophotes", {}).items():
+            angle = f"view angle {seen['view_angle_deg']:.1f}°" if "view_angle_deg" in seen else "no view angle"
+            lines.append(
+                f"isophotes of the {image}: {seen['aspect']:.3f} to 1 along the view, ± {seen['aspect_rel_sd']:.3f}: "
+                f"{angle} would make circles of them"
+            )
+        lines += [f"{flag}: {MEASURED[flag]}{_value(found.get(flag))}" for flag in measured.slice.flags]
+    return "\n".join(lines)
+
+
+def _value(found: str | None) -> str:
+    """What was found of a flag, in figures, where it has any."""
+    return f" ({found})" if found else ""
