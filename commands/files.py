@@ -93,7 +93,7 @@ def validate_fit(path: Path, picture: Path, *, progress: Callable[[str, int, int
 
     (fit,) = read_fits([path])
     source = slice_file(path) if path.is_dir() else Path(fit.input_path)
-    given = {key: fit.options[key] for key in (*HEADER, "unit") if key in fit.options}
+    given = {key: fit.options[key] for key in HEADER if key in fit.options}
     piece = read_slice(source, **given)
     missing = [name for name in fit.channels if name not in piece.channels]
     if missing:

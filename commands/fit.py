@@ -3,67 +3,28 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from bssrdf.commands.console import FILE, FLAGGED, FOLDER, Command, Decorated, force_option, fresh, is_quiet, warn
+from bssrdf.commands.console import FILE, FLAGGED, FOLDER, Command, force_option, fresh, is_quiet, warn
+from bssrdf.commands.key_options import KeyCommand
 from bssrdf.errors import BssrdfError, UsageError
 
 if TYPE_CHECKING:
+    from bssrdf.session.keys import Declared
     from bssrdf.session.records import Fit
 
 
-def _by_channel(_: click.Context, option: click.Parameter, given: tuple[str, ...]) -> float | dict[str, float] | None:
-    """`CHANNEL=number` options as a table by channel, or one bare number for all channels."""
-    try:
-        if len(given) == 1 and "=" not in given[0]:
-            return float(given[0])
-        return {channel: float(value) for channel, value in (text.rsplit("=", 1) for text in given)} or None
-    except ValueError:
-        message = f"{' '.join(given)}: write one number, or CHANNEL=number for each channel, such as G=0.79"
-        raise click.BadParameter(message, param=option) from None
+def _slice_keys() -> Mapping[str, Declared]:
+    from bssrdf.session.slice_csv import HEADER
+
+    return HEADER
 
 
-def _channel_option(name: str, text: str) -> Callable[[Decorated], Decorated]:
-    return click.option(name, multiple=True, callback=_by_channel, metavar="[CHANNEL=]NUMBER", help=text)
-
-
-SLICE_KEYS = (
-    click.option("--eta", type=float, help="Relative index of refraction."),
-    click.option("--g", type=float, help="Mean cosine of the phase function."),
-    click.option("--eta-sd", type=float, help="Error of eta."),
-    click.option("--g-sd", type=float, help="Error of g."),
-    click.option("--flux", type=click.Choice(["incident", "entering"]), help="What R_d is per unit of."),
-    click.option("--exit", type=click.Choice(["hemisphere", "lambertian", "fresnel"]), help="What the camera saw."),
-    click.option("--view-angle-deg", type=float, help="Camera against the surface normal."),
-    click.option("--view-angle-sd-deg", type=float, help="Error of the view angle."),
-    click.option("--azimuth", type=click.Choice(["perpendicular", "mean"]), help="Of the camera about the normal."),
-    click.option("--band-mm", type=float, help="Width along the view of the pixels that make a slice."),
-    click.option("--incidence-deg", type=float, help="Beam against the surface normal."),
-    _channel_option("--total-r", "Total reflectance, in the convention of the curve."),
-    _channel_option("--total-r-sd", "Its standard deviation."),
-    _channel_option("--lost-fraction", "Share of the light beyond the frame."),
-    click.option("--spot-radius-mm", type=float, help="1/e² radius of the spot."),
-    click.option("--spot-radius-sd-mm", type=float, help="Its error."),
-    click.option("--scale-rel-sd", type=float, help="Relative error common to curve and total."),
-    click.option("--mm-rel-sd", type=float, help="Relative error of the length scale."),
-    click.option("--shared-errors", help="Slices of the same text share errors of scale and length."),
-    click.option("--material", help="Name of the material."),
-    click.option("--unit", type=click.Choice(["mm", "cm", "m", "um"]), help="Of radii; R_d is in 1 over its square."),
-)
-"""Keys of slice.csv, which win over the file's."""
-
-
-def _slice_keys(command: Decorated) -> Decorated:
-    for option in reversed(SLICE_KEYS):
-        command = option(command)
-    return command
-
-
-@click.command(cls=Command)
+@click.command(cls=KeyCommand, keys=_slice_keys, heading="Keys of slice.csv, which win over the file's")
 @click.argument("inputs", nargs=-1, required=True, type=FOLDER, metavar="SESSION_OR_SLICE...")
 @click.option("--model", type=click.Choice(["auto", "dipole", "mc"]), default="auto", show_default=True)
 @click.option(
@@ -90,7 +51,6 @@ def _slice_keys(command: Decorated) -> Decorated:
 @click.option("--out", type=FILE, help="Write the fit here (one input).")
 @click.option("--strict", is_flag=True, help="Exit code 5 where a result is unidentifiable or rejected.")
 @force_option
-@_slice_keys
 def fit(
     inputs: tuple[Path, ...],
     model: Any,

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from bssrdf.commands.console import BAD_INPUT, FOLDER, Command, force_option, fresh, warn
+from bssrdf.commands.key_options import KeyCommand
+
+if TYPE_CHECKING:
+    from bssrdf.session.keys import Declared
 
 
 @click.command(cls=Command)
@@ -21,7 +26,14 @@ def init(session: Path, force: bool) -> None:
     click.echo(f"{session / 'session.toml'}: fill it in, put frames into frames/ and list them in frames.csv")
 
 
-@click.command(cls=Command)
+def _camera_keys() -> Mapping[str, Declared]:
+    from bssrdf.session.keys import keys_of
+    from bssrdf.session.records import Camera
+
+    return {name: key for name, key in keys_of(Camera).items() if name in ("layout", "black", "white")}
+
+
+@click.command(cls=KeyCommand, keys=_camera_keys, heading="Keys of [camera], where the files do not tell")
 @click.argument("folder", type=FOLDER)
 @click.option("--out", type=FOLDER, required=True, metavar="SESSION", help="The session to make.")
 @click.option(
@@ -34,9 +46,6 @@ def init(session: Path, force: bool) -> None:
     help="Where exposures stand, instead of metadata and names: a regular expression with one group that finds them in "
     "the path, or a .csv file with the columns file,exposure_s (and page, for stacks).",
 )
-@click.option("--layout", help='Colour filter pattern such as RGGB, "mono" or "rgb", where the file does not tell.')
-@click.option("--black", type=float, help="DN without light, where the file does not tell.")
-@click.option("--white", type=float, help="DN at saturation, where the file does not tell.")
 @click.option("--response", is_flag=True, help="Take JPEG and PNG as well, and have their response curve fitted.")
 @force_option
 def ingest(

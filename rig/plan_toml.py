@@ -5,16 +5,33 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 from bssrdf.errors import InputError
-from bssrdf.session.checks import boolean, checked, choice, known_keys, list_of, number, shown, unique
+from bssrdf.session.checks import known_keys, shown
+from bssrdf.session.keys import Key, Range, checked_keys, keys_of
 from bssrdf.session.records import Material
-from bssrdf.session.session_toml import TABLES
+from bssrdf.session.session_toml import checked_table, records_of
 from bssrdf.session.text_file import FORMAT, check_format, parse_toml, read_text
 
 Subject = Literal["sample", "reference"]
 Order = Literal["alternating", "blocks"]
+
+
+_TIME = Range(above=0, at_most=3600)
+
+
+@dataclass(frozen=True)
+class Exposures:
+    """`[exposures]` of plan.toml: one of three ways to say which."""
+
+    list_s: Annotated[tuple[float, ...] | None, Key("these exposure times", _TIME, unique=True)] = None
+    first_s: Annotated[float | None, Key("from this one, with last_s and steps_stops", _TIME)] = None
+    last_s: Annotated[float | None, Key("to this one", _TIME)] = None
+    steps_stops: Annotated[float | None, Key("apart from each other by", Range(above=0, at_most=10), unit="stops")] = (
+        None
+    )
+    auto: Annotated[bool, Key("chosen by metering shots")] = False
 
 
 @dataclass(frozen=True)
@@ -22,49 +39,29 @@ class Plan:
     """What to capture. Exposure times are as asked for; the camera has its own."""
 
     material: Material
-    kinds: tuple[Subject, ...] = ("sample", "reference")
+    kinds: Annotated[tuple[Subject, ...], Key("what to take", unique=True)] = ("sample", "reference")
     list_s: tuple[float, ...] = ()
     """Exposure times; empty where metering shots are to choose them (`auto`)."""
-    repeats: int = 1
-    settle_s: float = 0.1
-    """Wait after the shutter has opened, before the camera is released."""
-    order: Order = "alternating"
-    """With "alternating" a dark follows each frame, with "blocks" all darks of a subject follow all its frames."""
-    drift_check: bool = True
-
-
-_TOP = {
-    "kinds": unique(list_of(choice("sample", "reference"))),
-    "repeats": number(at_least=1, at_most=100),
-    "settle_s": number(at_least=0, at_most=60),
-    "order": choice("alternating", "blocks"),
-    "drift_check": boolean,
-}
-_TIME = number(above=0, at_most=3600)
-_EXPOSURES = {
-    "list_s": unique(list_of(_TIME)),
-    "first_s": _TIME,
-    "last_s": _TIME,
-    "steps_stops": number(above=0, at_most=10),
-    "auto": boolean,
-}
+    repeats: Annotated[int, Key("frames of each exposure", Range(at_least=1, at_most=100))] = 1
+    settle_s: Annotated[
+        float, Key("wait after the shutter has opened, before the camera is released", Range(at_least=0, at_most=60))
+    ] = 0.1
+    order: Annotated[Order, Key("a dark follows each frame, or all darks of a subject follow all its frames")] = (
+        "alternating"
+    )
+    drift_check: Annotated[bool, Key("take the first frames once more at the end")] = True
 
 
 def read_plan(file: Path) -> Plan:
     """The plan in the file; InputError names file, key and value."""
     document = parse_toml(file, read_text(file))
     check_format(file, document.pop("format", FORMAT))
-    known_keys(file, "", document, [*_TOP, "material", "exposures"])
+    known_keys(file, "", document, [*keys_of(Plan), "material", "exposures"])
     tables = {name: _table(file, document, name) for name in ("material", "exposures")}
-    material = checked(file, "[material] ", tables["material"], TABLES["material"][1])
-    for key in ("name", "eta"):
-        if key not in material:
-            raise InputError(f"{file}: [material] lacks {key}; add it")
-    exposures = _exposures(file, checked(file, "[exposures] ", tables["exposures"], _EXPOSURES))
-    top = checked(file, "", document, _TOP)
-    if "repeats" in top:
-        top["repeats"] = int(top["repeats"])
-    return Plan(Material(**material), list_s=exposures, **top)
+    material = records_of(file, {"material": checked_table(file, "material", tables["material"])}, ())["material"]
+    exposures = _exposures(file, checked_keys(file, "[exposures] ", tables["exposures"], Exposures))
+    top = checked_keys(file, "", document, Plan)
+    return Plan(material, list_s=exposures, **top)
 
 
 def _table(file: Path, document: dict[str, Any], name: str) -> dict[str, Any]:

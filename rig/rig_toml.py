@@ -4,18 +4,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 from bssrdf.errors import InputError
 from bssrdf.rig.drivers import PARTS, PartName, find, names
-from bssrdf.session.checks import Check, checked, choice, known_keys, number, text
-from bssrdf.session.records import Beam, Camera, Geometry, Reference
-from bssrdf.session.session_toml import TABLES
+from bssrdf.session.checks import Check, checked, choice, known_keys
+from bssrdf.session.keys import POSITIVE, Key, Range, keys_of
+from bssrdf.session.records import Geometry
+from bssrdf.session.session_toml import TABLES, checked_table, records_of
 from bssrdf.session.text_file import FORMAT, check_format, parse_toml, read_text
-
-_SECONDS = number(above=0, at_most=3600)
-_OF_EVERY: dict[PartName, dict[str, Check]] = {"shutter": {}, "beam": {}, "camera": {"frame_mb": number(above=0)}}
-"""Keys that go with any driver."""
 
 
 @dataclass(frozen=True)
@@ -37,12 +34,21 @@ class Rig:
     camera: Part
     session_tables: dict[str, Any]
     """`camera`, `geometry`, `beam`, `reference`: records that go into every session.toml."""
-    world: str | None = None
-    """Socket of the simulated world; None on a real bench."""
-    frame_mb: float = 30.0
-    """What a frame takes on the disk."""
-    speed: float = 1.0
-    """How much faster than the clock a simulated bench runs."""
+    frame_mb: Annotated[float, Key("what a frame takes on the disk", POSITIVE, unit="MB")] = 30.0
+    world: Annotated[str | None, Key("socket of a simulated world; none on a real bench")] = None
+    speed: Annotated[
+        float, Key("how much faster than the clock a simulated bench runs", Range(above=0, at_most=3600))
+    ] = 1.0
+
+
+_OF_EVERY: dict[PartName, dict[str, Check]] = {
+    "shutter": {},
+    "beam": {},
+    "camera": {"frame_mb": keys_of(Rig)["frame_mb"].check},
+}
+"""Keys that go with any driver."""
+_STATIC = ("camera", "geometry", "beam", "reference")
+"""Tables of session.toml that go into every session."""
 
 
 def read_rig(file: Path) -> Rig:
@@ -59,10 +65,12 @@ def read_rig(file: Path) -> Rig:
     document.setdefault("beam", {"driver": "manual"})
     parts = {name: _part(file, name, document[name]) for name in PARTS}
     common = {key: parts["camera"].keys.pop(key) for key in _OF_EVERY["camera"] if key in parts["camera"].keys}
-    simulated = checked(file, "[simulated] ", document.get("simulated", {}), {"world": text, "speed": _SECONDS})
-    records: dict[str, type] = {"camera": Camera, "geometry": Geometry, "beam": Beam, "reference": Reference}
-    tables = {name: _record(file, name, record, document[name]) for name, record in records.items()}
-    return Rig(file, parts["shutter"], parts["beam"], parts["camera"], tables, **common, **simulated)
+    of_simulated = {key: keys_of(Rig)[key].check for key in ("world", "speed")}
+    simulated = checked(file, "[simulated] ", document.get("simulated", {}), of_simulated)
+    tables = {name: checked_table(file, name, _known(name, document[name])) for name in _STATIC}
+    geometry = {"geometry": Geometry(**tables.pop("geometry"))}  # a session's calibration may give its scale
+    static = records_of(file, tables, ()) | geometry
+    return Rig(file, parts["shutter"], parts["beam"], parts["camera"], static, **common, **simulated)
 
 
 def _part(file: Path, name: PartName, table: dict[str, Any]) -> Part:
@@ -74,7 +82,7 @@ def _part(file: Path, name: PartName, table: dict[str, Any]) -> Part:
     except InputError as error:
         raise InputError(f"{file}: {error}") from error
     own = {**found.keys, **_OF_EVERY[name]}
-    known_keys(file, f"[{name}] ", table, ["driver", *own, *TABLES.get(name, (None, {}))[1]])
+    known_keys(file, f"[{name}] ", table, ["driver", *own, *(keys_of(TABLES[name]) if name in TABLES else ())])
     keys = {key: value for key, value in table.items() if key in own}
     for key in found.required:
         if key not in keys:
@@ -82,10 +90,6 @@ def _part(file: Path, name: PartName, table: dict[str, Any]) -> Part:
     return Part(driver, checked(file, f"[{name}] ", keys, own))
 
 
-def _record(file: Path, name: str, record: type, table: dict[str, Any]) -> Any:
-    checks = TABLES[name][1]
-    own = {key: value for key, value in table.items() if key in checks}
-    try:
-        return record(**checked(file, f"[{name}] ", own, checks))
-    except TypeError as error:
-        raise InputError(f"{file}: [{name}] is incomplete ({error}); add the key") from error
+def _known(name: str, table: dict[str, Any]) -> dict[str, Any]:
+    """The share of session.toml."""
+    return {key: value for key, value in table.items() if key in keys_of(TABLES[name])}

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import difflib
 import math
+import re
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
 from bssrdf.errors import InputError
 
+_SHARE_AT_MOST = 1.2
+"""A number between 0 and this is a share: who writes 45 means per cent."""
 Check = Callable[[Any], Any]
 """Returns the value, normalised; raises ValueError with what it must be."""
 
@@ -19,11 +22,14 @@ def number(
 ) -> Check:
     """A finite number in the given range."""
     limits = [(">", above), ("<", below), (">=", at_least), ("<=", at_most)]
+    is_share = max(above, at_least) == 0 and min(below, at_most) <= _SHARE_AT_MOST
     wanted = " and ".join(["a finite number", *(f"{sign} {limit:g}" for sign, limit in limits if math.isfinite(limit))])
 
     def check(value: Any) -> float:
         if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
             raise ValueError(f"must be {wanted}")
+        if is_share and 2 < value <= 100:
+            raise ValueError(f"must be a share, not per cent: give {value / 100:g}")
         if not (above < value < below and at_least <= value <= at_most):
             raise ValueError(f"must be {wanted}")
         return float(value)
@@ -80,14 +86,37 @@ def unique(check: Check) -> Check:
 
 
 def by_channel(item: Check) -> Check:
-    """A table of values by channel, each checked."""
+    """One value for all channels, or a table of values by channel, each checked."""
 
-    def check(value: Any) -> dict[str, Any]:
-        if not isinstance(value, Mapping):
-            raise ValueError("must be a table by channel, such as { R = 0.8, G = 0.7 }")
-        return {channel: item(each) for channel, each in value.items()}
+    def check(value: Any) -> Any:
+        return {channel: item(each) for channel, each in value.items()} if isinstance(value, Mapping) else item(value)
 
     return check
+
+
+def table(value: Any) -> dict[str, Any]:
+    """Keys and values of any kind."""
+    if not isinstance(value, Mapping):
+        raise ValueError("must be a table")
+    return dict(value)
+
+
+def whole(check: Check) -> Check:
+    """The same, of a number without a fraction."""
+
+    def without_fraction(value: Any) -> int:
+        if (number := check(value)) % 1:
+            raise ValueError("must be a whole number")
+        return int(number)
+
+    return without_fraction
+
+
+def layout(value: Any) -> str:
+    """A colour filter pattern, or a word for having none."""
+    if value not in ("mono", "rgb") and not (isinstance(value, str) and re.fullmatch("[RGBCMYEW]{4}", value)):
+        raise ValueError('must be a 2x2 colour filter pattern such as "RGGB", or "mono", or "rgb"')
+    return str(value)
 
 
 def matrix3(value: Any) -> tuple[tuple[float, float, float], ...]:

@@ -6,46 +6,18 @@ import json
 import math
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 from bssrdf.errors import BssrdfError, InputError
 from bssrdf.session.atomic import atomic_write
 from bssrdf.session.checks import shown
-from bssrdf.session.records import ChannelFit, Fit, Status
+from bssrdf.session.plain import from_plain, to_plain
+from bssrdf.session.records import ChannelFit, Fit
 from bssrdf.session.text_file import FORMAT, check_format, read_text
 
-_ORDER = (
-    "model",
-    "sigma_a_per_mm",
-    "sigma_a_sd_per_mm",
-    "sigma_a_interval95_per_mm",
-    "sigma_sp_per_mm",
-    "sigma_sp_sd_per_mm",
-    "sigma_sp_interval95_per_mm",
-    "correlation",
-    "model_error",
-    "budget",
-    "total_r_measured",
-    "total_r_model",
-    "window_mm",
-    "n",
-    "chi2_reduced",
-    "status",
-    "flags",
-)
-_NUMBERS = (
-    "sigma_a_per_mm",
-    "sigma_a_sd_per_mm",
-    "sigma_sp_per_mm",
-    "sigma_sp_sd_per_mm",
-    "correlation",
-    "total_r_measured",
-    "total_r_model",
-    "chi2_reduced",
-)
-_PAIRS = ("sigma_a_interval95_per_mm", "sigma_sp_interval95_per_mm", "window_mm")
-_BY_NAME = ("model_error", "sensitivity")
 _COEFFICIENTS = ("sigma_a", "sigma_sp")
+_MAY_LACK: dict[str, Any] = {"model_error": {}, "sensitivity": {}, "budget": {}}
+"""What fits of earlier versions come without."""
 
 
 def fit_to_dict(fit: Fit) -> dict[str, Any]:
@@ -104,10 +76,10 @@ def read_fit(path: Path) -> Fit:
 
 
 def _channel_to_dict(channel: ChannelFit) -> dict[str, Any]:
-    values = {name: getattr(channel, name) for name in _ORDER}
+    values: dict[str, Any] = to_plain(channel)
     shares: dict[str, Any] = {key: channel.budget.get(key) for key in _COEFFICIENTS}
-    values["budget"] = shares | {"not_stated": list(channel.not_stated)}
-    return values | ({"sensitivity": channel.sensitivity} if channel.sensitivity else {})
+    values["budget"] = shares | {"not_stated": values.pop("not_stated")}
+    return values if channel.sensitivity else {key: each for key, each in values.items() if key != "sensitivity"}
 
 
 def _finite(value: Any) -> Any:
@@ -134,30 +106,9 @@ def _fit(document: dict[str, Any]) -> Fit:
 
 
 def _channel(values: dict[str, Any]) -> ChannelFit:
-    if values["status"] not in get_args(Status):
-        raise ValueError(f"status {shown(values['status'])}")
-    fields: dict[str, Any] = {name: _number(values[name]) for name in _NUMBERS}
-    fields |= {name: _pair(values[name]) for name in _PAIRS}
-    fields |= {name: {key: _number(each) for key, each in values.get(name, {}).items()} for name in _BY_NAME}
-    budget = values.get("budget", {})
-    return ChannelFit(
-        model=str(values["model"]),
-        budget={
-            key: {name: _number(share) for name, share in budget[key].items()}
-            for key in _COEFFICIENTS
-            if budget.get(key) is not None
-        },
-        not_stated=tuple(budget.get("not_stated", ())),
-        n=int(values["n"]),
-        status=values["status"],
-        flags=tuple(values["flags"]),
-        **fields,
-    )
-
-
-def _pair(values: list[Any]) -> tuple[float, float]:
-    low, high = values
-    return _number(low), _number(high)
+    shares = dict(values.get("budget", {}))
+    values = {**_MAY_LACK, **values, "not_stated": shares.pop("not_stated", ())}
+    return from_plain(ChannelFit, {**values, "budget": {key: each for key, each in shares.items() if each is not None}})
 
 
 def _number(value: Any) -> float:

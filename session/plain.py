@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import math
 import types
 from collections.abc import Mapping
 from dataclasses import is_dataclass
-from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints
+from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
 
@@ -24,7 +25,7 @@ def to_plain(value: Any) -> Any:
 
 
 def from_plain(kind: type[T], value: Any) -> T:
-    """The value of `kind` that `to_plain` was given; ValueError, TypeError or KeyError where it is none."""
+    """The value of `kind` that `to_plain` was given, NaN for null; ValueError, TypeError or KeyError if it is none."""
     return _of(kind, value)
 
 
@@ -51,4 +52,8 @@ def _of(kind: Any, value: Any) -> Any:
         return [_of(arguments[0], each) for each in value]
     if is_dataclass(kind) or hasattr(kind, "_fields"):
         return kind(**{name: _of(hint, value[name]) for name, hint in _hints(kind).items()})
-    return value if kind is Any else kind(value)
+    if origin is Literal and value not in arguments:
+        raise ValueError(f"{value!r} is not one of {', '.join(arguments)}")
+    if kind is float and value is None:
+        return math.nan
+    return value if kind is Any or origin is Literal else kind(value)

@@ -7,10 +7,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Annotated, Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
+
+from bssrdf.session.checks import layout, matrix3
+from bssrdf.session.keys import ANGLE, COSINE, ERROR, LENGTH, POSITIVE, SHARE, Key, Range
 
 TOTAL_R_MAX = 1.1
 """A white sample can outshine a Lambertian reference at some angles, but not by more."""
@@ -37,96 +40,158 @@ Status = Literal["converged", "upper_bound", "unidentifiable", "rejected", "fail
 Array = NDArray[np.float64]
 
 
+_DISPLAY = "calibrate colour writes it for pictures to look at; curves and fits stay in the camera's own channels"
+_NAME = "names the result"
+_WHOLE_ERROR = (
+    "the whole error but the model's bias: noise of the curve, errors of R, scale, lengths and all that the budget "
+    "names; null for `rejected` and `unidentifiable`"
+)
+
+
 @dataclass(frozen=True)
 class Material:
     """`[material]`: what lies under the beam."""
 
-    name: str
-    eta: float
-    g: float | None = None
-    thickness_mm: float | None = None
-    width_mm: float | None = None
-    backing: str | None = None
-    cover: Literal["none", "glass"] = "none"
-    finish: Literal["polished", "rough"] = "polished"
+    name: Annotated[str, Key("what lies under the beam", example="milk", informational=_NAME)]
+    eta: Annotated[
+        float, Key("relative index of refraction: 1.3 for watery things, 1.5 for marble", POSITIVE, example=1.3)
+    ]
+    g: Annotated[float | None, Key("mean cosine of scattering", COSINE, example=0.0)] = None
+    thickness_mm: Annotated[float | None, Key("size along the beam", POSITIVE, example=40.0)] = None
+    width_mm: Annotated[float | None, Key("size across the beam", POSITIVE, example=100.0)] = None
+    backing: Annotated[str | None, Key("what lies below", example="black")] = None
+    cover: Annotated[Literal["none", "glass"], Key("what lies on top")] = "none"
+    finish: Annotated[Literal["polished", "rough"], Key("the surface")] = "polished"
 
 
 @dataclass(frozen=True)
 class Camera:
     """`[camera]`: how a file's numbers become light. None where the file itself or the frames tell it."""
 
-    layout: str | None = None
-    """A 2×2 colour filter pattern such as RGGB, "mono" or "rgb"."""
-    black: float | None = None
-    """DN at no light."""
-    white: float | None = None
-    """DN at saturation."""
-    gain_e_per_dn: float | None = None
-    read_noise_e: float | None = None
-    exposure_rel_sd: float | None = None
-    """Relative error of the frames' exposures; None: assumed by where each comes from."""
-    aperture_mm: float = 6.25
-    """Diameter of the lens's entrance pupil, its focal length over the f-number; for the speckle of a laser."""
-    response: Literal["debevec"] | None = None
-    """How frames that are not linear (JPEG, video) are made so; None where they are, or are to be refused."""
+    layout: Annotated[
+        str | None,
+        Key('2x2 colour filter pattern, "mono" or "rgb"; RAW files say it themselves', example="RGGB", check=layout),
+    ] = None
+    black: Annotated[float | None, Key("level without light", ERROR, unit="DN", example=512.0)] = None
+    white: Annotated[float | None, Key("level of saturation", POSITIVE, unit="DN", example=65535.0)] = None
+    gain_e_per_dn: Annotated[float | None, Key("else estimated from the frames", POSITIVE, example=1.0)] = None
+    read_noise_e: Annotated[float | None, Key("else estimated from the darks", ERROR, example=3.0)] = None
+    exposure_rel_sd: Annotated[
+        float | None,
+        Key("error of the exposures; else 0.03 for labels, 0.0005 for exposure_measured_s", POSITIVE, example=0.001),
+    ] = None
+    aperture_mm: Annotated[
+        float, Key("entrance pupil, focal length over f-number; counts for a laser's speckle only", POSITIVE)
+    ] = 6.25
+    response: Annotated[
+        Literal["debevec"] | None,
+        Key("for JPEG or video: fit their response curve; good to percents at best", example="debevec"),
+    ] = None
 
 
 @dataclass(frozen=True)
 class Geometry:
     """`[geometry]`: from pixels to mm in the surface. Either `mm_per_px` or `homography` is given."""
 
-    mm_per_px: float | None = None
-    homography: tuple[tuple[float, float, float], ...] | None = None
-    """3×3, pixel (x, y, 1) to mm in the surface."""
-    mm_per_px_rel_sd: float | None = None
-    """None: not stated."""
-    distance_mm: float = 300.0
-    """From the lens to the surface; for the speckle of a laser."""
-    view_angle_deg: float = 45.0
-    """Camera against the surface normal."""
-    view_angle_sd_deg: float | None = None
-    """None: not stated."""
-    view_axis: Literal["x", "y"] = "y"
-    """Image axis that the view foreshortens; the slice is perpendicular to it."""
+    mm_per_px: Annotated[
+        float | None, Key("in the surface, along the slice", POSITIVE, unit="mm", example=0.05, unless="homography")
+    ] = None
+    homography: Annotated[
+        tuple[tuple[float, float, float], ...] | None,
+        Key(
+            "instead: 3x3, pixel (x, y, 1) to mm",
+            example=((0.05, 0.0, 0.0), (0.0, 0.07, 0.0), (0.0, 0.0, 1.0)),
+            check=matrix3,
+        ),
+    ] = None
+    mm_per_px_rel_sd: Annotated[
+        float | None,
+        Key("relative error of the scale; taken as 0.005, and flagged, if not given", SHARE, example=0.005),
+    ] = None
+    distance_mm: Annotated[float, Key("lens to surface; counts for a laser's speckle only", POSITIVE)] = 300.0
+    view_angle_deg: Annotated[float, Key("camera against the surface normal", ANGLE, ask=True)] = 45.0
+    view_angle_sd_deg: Annotated[
+        float | None, Key("its error; taken as 1, and flagged, if not given", ERROR, example=1.0)
+    ] = None
+    view_axis: Annotated[
+        Literal["x", "y"], Key("image axis that the view foreshortens; the slice crosses it", ask=True)
+    ] = "y"
 
 
 @dataclass(frozen=True)
 class Beam:
-    """`[beam]`."""
+    """`[beam]`: what lit the sample."""
 
-    kind: BeamKind = "white"
-    polarised: bool = False
-    incidence_deg: float = 0.0
-    spot_radius_mm: float | None = None
-    """1/e² radius of the irradiance."""
-    channels: tuple[str, ...] | None = None
-    """Channels that carry signal; None is all of them."""
+    kind: Annotated[BeamKind, Key("a laser makes speckle and leaks into other channels", ask=True)] = "white"
+    polarised: Annotated[bool, Key("whether the beam is polarised")] = False
+    incidence_deg: Annotated[float, Key("beam against the surface normal", ANGLE, ask=True)] = 0.0
+    spot_radius_mm: Annotated[
+        float | None, Key("1/e² radius of the irradiance; else found on the tile", POSITIVE, example=0.15)
+    ] = None
+    channels: Annotated[
+        tuple[str, ...] | None,
+        Key(
+            'those that carry signal, else all; a name for a mono camera: ["633nm"]',
+            example=("R", "G", "B"),
+            unique=True,
+        ),
+    ] = None
 
 
 @dataclass(frozen=True)
 class Reference:
     """`[reference]`: the white tile, by its radiance factor for each channel."""
 
-    name: str
-    reflectance: tuple[float, ...]
-    reflectance_sd: tuple[float, ...] | None = None
-    coplanar: bool = False
-    """Whether it lay in the sample's plane, so that the beam lands on both at the same place of the picture."""
+    name: Annotated[str, Key("what was white", example="Spectralon", informational=_NAME)]
+    reflectance: Annotated[
+        tuple[float, ...],
+        Key(
+            "radiance factor at this incidence and view, for each channel",
+            Range(above=0, at_most=1.2),
+            example=(0.99, 0.99, 0.99),
+        ),
+    ]
+    reflectance_sd: Annotated[
+        tuple[float, ...] | None,
+        Key(
+            "its error; taken as 1 % of it, and flagged, if not given",
+            ERROR,
+            example=(0.005, 0.005, 0.005),
+            ask=True,
+        ),
+    ] = None
+    coplanar: Annotated[bool, Key("it lay in the sample's plane, under the same beam", example=True)] = False
 
 
 @dataclass(frozen=True)
 class Distortion:
     """`[distortion]`: OpenCV's pinhole camera matrix and its lens distortion coefficients."""
 
-    camera_matrix: tuple[tuple[float, float, float], ...]
-    coefficients: tuple[float, ...]
+    camera_matrix: Annotated[
+        tuple[tuple[float, float, float], ...],
+        Key(
+            "OpenCV's pinhole camera",
+            unit="px",
+            example=((1000.0, 0.0, 320.0), (0.0, 1000.0, 240.0), (0.0, 0.0, 1.0)),
+            check=matrix3,
+        ),
+    ]
+    coefficients: Annotated[tuple[float, ...], Key("k1, k2, p1, p2 and on, as OpenCV orders them", example=(0.0, 0.0))]
 
 
 @dataclass(frozen=True)
 class Colour:
     """`[colour]`: from linear camera RGB, white at 1, to linear sRGB (D65). For display only."""
 
-    matrix: tuple[tuple[float, float, float], ...]
+    matrix: Annotated[
+        tuple[tuple[float, float, float], ...],
+        Key(
+            "3x3, linear camera RGB with white at 1 to linear sRGB (D65)",
+            example=((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)),
+            check=matrix3,
+            informational=_DISPLAY,
+        ),
+    ]
 
 
 @dataclass(frozen=True)
@@ -208,66 +273,97 @@ class Slice:
     """slice.csv: R_d(r) [1/mm²] by channel, and the convention it is in."""
 
     channels: dict[str, ChannelSlice]
-    eta: float
-    flux: Flux
-    exit: Exit
-    view_angle_deg: float = 45.0
-    azimuth: Azimuth = "perpendicular"
-    """Of the camera about the normal: at a right angle to the radius, or the mean over a whole image."""
-    band_mm: float | None = None
-    """Full width along the view of the band around a perpendicular slice that was averaged: near the beam it holds
-    other azimuths too. None: hardly any."""
-    incidence_deg: float = 0.0
-    total_r: dict[str, float] = field(default_factory=dict)
-    """Total reflectance by channel in the convention of the curve; a channel may be missing."""
-    total_r_sd: dict[str, float] = field(default_factory=dict)
-    material: str | None = None
-    g: float | None = None
-    eta_sd: float | None = None
-    g_sd: float | None = None
-    view_angle_sd_deg: float | None = None
-    spot_radius_mm: float | None = None
-    spot_radius_sd_mm: float | None = None
-    lost_fraction: dict[str, float] | None = None
-    scale_rel_sd: float | None = None
-    """Relative error common to the curve and the total."""
-    mm_rel_sd: float | None = None
-    """Relative error of the length scale."""
-    shared_errors: str | None = None
-    """Slices with the same text share the errors of scale and length, as those against one tile do."""
-    flags: tuple[str, ...] = ()
-    """What measuring found fault with; from the documented list."""
-    provenance: dict[str, Any] = field(default_factory=dict)
+    eta: Annotated[float, Key("relative index of refraction", Range(above=0, at_most=10), example=1.3)]
+    flux: Annotated[Flux, Key("R_d is per unit of this flux; what enters lacks the specular share", example="incident")]
+    exit: Annotated[
+        Exit,
+        Key(
+            "what was seen: all light that leaves, as simulations count it (hemisphere), or what a camera saw "
+            "against a white reference, by a Fresnel or Lambertian angular law",
+            example="fresnel",
+        ),
+    ]
+    view_angle_deg: Annotated[float, Key("camera against the surface normal", ANGLE)] = 45.0
+    view_angle_sd_deg: Annotated[float | None, Key("error of the view angle", ERROR)] = None
+    azimuth: Annotated[
+        Azimuth, Key("of a camera at an angle: at a right angle to the radius, or the mean over a whole image")
+    ] = "perpendicular"
+    band_mm: Annotated[
+        float | None,
+        Key(
+            "full width along the view of the band that a perpendicular slice averages: within half of it from the "
+            "beam every azimuth is seen",
+            LENGTH,
+        ),
+    ] = None
+    incidence_deg: Annotated[float, Key("beam against the surface normal", ANGLE)] = 0.0
+    total_r: Annotated[
+        dict[str, float], Key("total reflectance in the curve's own convention", Range(above=0, at_most=TOTAL_R_MAX))
+    ] = field(default_factory=dict)
+    total_r_sd: Annotated[dict[str, float], Key("its error", ERROR)] = field(default_factory=dict)
+    lost_fraction: Annotated[
+        dict[str, float] | None, Key("share of the light beyond the frame, already in total_r", SHARE)
+    ] = None
+    g: Annotated[float | None, Key("mean cosine of the phase function", COSINE)] = None
+    eta_sd: Annotated[float | None, Key("error of eta", ERROR)] = None
+    g_sd: Annotated[float | None, Key("error of g", ERROR)] = None
+    spot_radius_mm: Annotated[float | None, Key("1/e² radius of the spot", LENGTH)] = None
+    spot_radius_sd_mm: Annotated[float | None, Key("error of the spot radius", ERROR)] = None
+    scale_rel_sd: Annotated[
+        float | None,
+        Key("relative error common to curve and total; none counts as 0, flagged", ERROR),
+    ] = None
+    mm_rel_sd: Annotated[float | None, Key("relative error of all lengths; none counts as 0, flagged", ERROR)] = None
+    shared_errors: Annotated[
+        str | None, Key("slices with the same text share errors of scale and length, as those against one tile do")
+    ] = None
+    material: Annotated[str | None, Key("name of the material", informational=_NAME)] = None
+    flags: Annotated[
+        tuple[str, ...], Key("what measuring found fault with", informational="handed on to the flags of the fit")
+    ] = ()
+    provenance: Annotated[
+        dict[str, Any], Key("where the curve comes from", informational="so that it can be measured again")
+    ] = field(default_factory=dict)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class ChannelFit:
-    """Coefficients of one channel [1/mm], errors apart: statistical sd and interval, relative model error, flags."""
+    """Coefficients of one channel, errors apart: statistical sd and interval, relative model error, flags."""
 
-    model: str
-    sigma_a_per_mm: float
-    sigma_a_sd_per_mm: float
-    sigma_a_interval95_per_mm: tuple[float, float]
-    sigma_sp_per_mm: float
-    sigma_sp_sd_per_mm: float
-    sigma_sp_interval95_per_mm: tuple[float, float]
-    correlation: float
-    total_r_measured: float
-    total_r_model: float
-    """Entering, hemisphere."""
-    window_mm: tuple[float, float]
-    n: int
-    chi2_reduced: float
-    status: Status
-    flags: tuple[str, ...] = ()
-    model_error: dict[str, float] = field(default_factory=dict)
-    """Relative, by coefficient: `sigma_a`, `sigma_sp`."""
-    sensitivity: dict[str, float] = field(default_factory=dict)
-    """Derivatives such as `d_ln_sigma_a_d_g`."""
-    budget: dict[str, dict[str, float]] = field(default_factory=dict)
-    """By coefficient, the share of the variance of ln σ by independent source; each adds up to 1."""
-    not_stated: tuple[str, ...] = ()
-    """Errors that count as 0 because no slice states them."""
+    model: Annotated[str, Key("the forward model that was fitted: dipole or mc")]
+    sigma_a_per_mm: Annotated[float, Key("absorption coefficient σa")]
+    sigma_a_sd_per_mm: Annotated[float, Key(_WHOLE_ERROR)]
+    sigma_a_interval95_per_mm: Annotated[tuple[float, float], Key("95 % interval of the same errors")]
+    sigma_sp_per_mm: Annotated[float, Key("reduced scattering coefficient σs′")]
+    sigma_sp_sd_per_mm: Annotated[float, Key("as for σa")]
+    sigma_sp_interval95_per_mm: Annotated[tuple[float, float], Key("as for σa")]
+    correlation: Annotated[float, Key("of the errors of σa and σs′")]
+    model_error: Annotated[
+        dict[str, float],
+        Key(
+            "what the model itself is off by on light like this, relative to the value, by coefficient (`sigma_a`, "
+            "`sigma_sp`): the dipole's bias, not part of the sd; a table's own noise, which is"
+        ),
+    ] = field(default_factory=dict)
+    budget: Annotated[
+        dict[str, dict[str, float]],
+        Key(
+            "by coefficient the shares of the variance of ln σ by source (`noise`, `total`, `scale`, `length`, `spot`, "
+            "`view`, `exit_law`, `table`, `eta`, `g`, `misfit`), sum 1; null for bounds and where nothing is stated"
+        ),
+    ] = field(default_factory=dict)
+    not_stated: Annotated[tuple[str, ...], Key("within `budget`: errors that no slice states, which count as 0")] = ()
+    total_r_measured: Annotated[float, Key("as the slice has it", informational="stands beside the model's")]
+    total_r_model: Annotated[float, Key("of the coefficients: per flux entering, over the hemisphere")]
+    window_mm: Annotated[tuple[float, float], Key("radii that counted")]
+    n: Annotated[int, Key("how many")]
+    chi2_reduced: Annotated[float, Key("χ² per degree of freedom; null where the curve came without errors")]
+    status: Annotated[Status, Key("see [flags](flags.md)")]
+    flags: Annotated[tuple[str, ...], Key("see [flags](flags.md)")] = ()
+    sensitivity: Annotated[
+        dict[str, float],
+        Key("what a wrong g or η would do: `d_ln_sigma_a_d_g` and the like, times the error of g or η"),
+    ] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

@@ -2,118 +2,42 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
-from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
 from bssrdf.errors import InputError, UsageError
 from bssrdf.session.atomic import atomic_write, inside, make_folder
-from bssrdf.session.checks import (
-    Check,
-    boolean,
-    checked,
-    choice,
-    known_keys,
-    list_of,
-    matrix3,
-    number,
-    shown,
-    text,
-    unique,
-)
+from bssrdf.session.checks import Check, checked, known_keys, shown, text
 from bssrdf.session.frames_csv import write_frames
+from bssrdf.session.keys import checked_keys, keys_of, missing_keys
 from bssrdf.session.records import Beam, Camera, Colour, Distortion, Geometry, Material, Reference, Session
 from bssrdf.session.text_file import FORMAT, check_format, parse_toml, read_text, toml_table
 
 Tables = dict[str, dict[str, Any]]
 
-
-def _layout(value: Any) -> str:
-    if value not in ("mono", "rgb") and not (isinstance(value, str) and re.fullmatch("[RGBCMYEW]{4}", value)):
-        raise ValueError('must be a 2x2 colour filter pattern such as "RGGB", or "mono", or "rgb"')
-    return str(value)
-
-
-_POSITIVE = number(above=0)
-_NOT_NEGATIVE = number(at_least=0)
-_ANGLE = number(at_least=0, below=90)
-
-TABLES: dict[str, tuple[type, dict[str, Check]]] = {
-    "material": (
-        Material,
-        {
-            "name": text,
-            "eta": _POSITIVE,
-            "g": number(above=-1, below=1),
-            "thickness_mm": _POSITIVE,
-            "width_mm": _POSITIVE,
-            "backing": text,
-            "cover": choice("none", "glass"),
-            "finish": choice("polished", "rough"),
-        },
-    ),
-    "camera": (
-        Camera,
-        {
-            "layout": _layout,
-            "black": _NOT_NEGATIVE,
-            "white": _POSITIVE,
-            "gain_e_per_dn": _POSITIVE,
-            "read_noise_e": _NOT_NEGATIVE,
-            "exposure_rel_sd": _POSITIVE,
-            "aperture_mm": _POSITIVE,
-            "response": choice("debevec"),
-        },
-    ),
-    "geometry": (
-        Geometry,
-        {
-            "mm_per_px": _POSITIVE,
-            "homography": matrix3,
-            "mm_per_px_rel_sd": number(at_least=0, below=1),
-            "distance_mm": _POSITIVE,
-            "view_angle_deg": _ANGLE,
-            "view_angle_sd_deg": _NOT_NEGATIVE,
-            "view_axis": choice("x", "y"),
-        },
-    ),
-    "beam": (
-        Beam,
-        {
-            "kind": choice("white", "led", "laser"),
-            "polarised": boolean,
-            "incidence_deg": _ANGLE,
-            "spot_radius_mm": _POSITIVE,
-            "channels": unique(list_of(text)),
-        },
-    ),
-    "reference": (
-        Reference,
-        {
-            "name": text,
-            "reflectance": list_of(number(above=0, at_most=1.2)),
-            "reflectance_sd": list_of(_NOT_NEGATIVE),
-            "coplanar": boolean,
-        },
-    ),
-    "distortion": (Distortion, {"camera_matrix": matrix3, "coefficients": list_of(number())}),
-    "colour": (Colour, {"matrix": matrix3}),
+TABLES: dict[str, type] = {
+    "material": Material,
+    "camera": Camera,
+    "geometry": Geometry,
+    "beam": Beam,
+    "reference": Reference,
+    "distortion": Distortion,
+    "colour": Colour,
 }
-_REQUIRED = {
-    "camera": {},
-    "material": {"name": '"marble"', "eta": "1.5"},
-    "geometry": {"mm_per_px": "0.05"},
-    "reference": {"name": '"Spectralon"', "reflectance": "[0.99, 0.99, 0.99]"},
-    "distortion": {"camera_matrix": "[[…], […], […]]", "coefficients": "[…]"},
-    "colour": {"matrix": "[[…], […], […]]"},
-}
-"""Keys without which a table is nothing, each with an example."""
+"""What session.toml and calibration.toml hold; each table's keys are the declared fields of its record."""
 _TO_MEASURE = ("camera", "material", "geometry", "reference")
+_BY_CALIBRATE = ("distortion", "colour")
+"""Tables that `bssrdf calibrate` writes and nobody by hand."""
 UNNAMED = "unnamed"
 """Name of the material in the template: whoever leaves it may have left the example values too."""
+_TEMPLATE_HEAD = """\
+# A session: what is measured, and with what. Lengths in mm, angles in degrees, DN are a frame's own numbers.
+# Take the `#` away from a line to use it. The frames are listed in frames.csv: file,kind,exposure_s
+format = 1
+# calibration = "calibration.toml"      # tables written by `bssrdf calibrate`; the keys below win
+"""
 
 
 def read_session(path: Path, *, complete: bool = False) -> Session:
@@ -126,9 +50,25 @@ def read_session(path: Path, *, complete: bool = False) -> Session:
     tables = own
     if "calibration" in top:
         tables = _merged(read_calibration(inside(path, top["calibration"], named_in=file.name)), own)
-    _check_required(file, tables, _TO_MEASURE if complete else ("camera",))
-    parts = {name: _record(file, name, values) for name, values in tables.items()}
+    parts = records_of(file, tables, _TO_MEASURE if complete else ("camera",))
     return Session(path=path, calibration=top.get("calibration"), **parts)
+
+
+def checked_table(file: Path, name: str, raw: Any) -> dict[str, Any]:
+    """The values of one table as they are written, each checked; InputError names file, key and value."""
+    if not isinstance(raw, Mapping):
+        raise InputError(f"{file}: {name} = {shown(raw)} must be a table; write [{name}] and its keys below")
+    values = checked_keys(file, f"[{name}] ", raw, TABLES[name])
+    for key, declared in keys_of(TABLES[name]).items():
+        if declared.key.unless and {key, declared.key.unless} <= values.keys():
+            raise InputError(f"{file}: [{name}] has both {key} and {declared.key.unless}; keep one of them")
+    return values
+
+
+def records_of(file: Path, tables: Tables, needed: Sequence[str]) -> dict[str, Any]:
+    """The record of each table; InputError names all keys at once that the tables, and those needed, lack."""
+    _check_required(file, tables, needed)
+    return {name: _record(file, name, values) for name, values in tables.items()}
 
 
 def read_calibration(file: Path) -> Tables:
@@ -144,7 +84,7 @@ def write_session(path: Path, session: Session) -> None:
 
 def write_calibration(path: Path, tables: Mapping[str, Mapping[str, Any]]) -> None:
     """Write a calibration.toml of tables of session.toml; InputError for a value that could not be read back."""
-    checked_tables = {name: checked(path, f"[{name}] ", values, TABLES[name][1]) for name, values in tables.items()}
+    checked_tables = {name: checked_table(path, name, values) for name, values in tables.items()}
     _write_tables(path, {}, checked_tables)
 
 
@@ -154,32 +94,36 @@ def write_template(path: Path, *, force: bool = False) -> None:
     if file.exists() and not force:
         raise UsageError(f"{file}: exists already; choose another folder, or --force to start it anew")
     make_folder(path / "frames")
-    with atomic_write(file) as part:
-        part.write_text(_template(), encoding="utf-8")
+    write_started(path, Camera())
     if not (path / "frames.csv").exists():
         write_frames(path, [])
 
 
 def write_started(path: Path, camera: Camera) -> None:
     """The template with the keys of `camera` that differ from what is taken without them, to be filled in."""
-    document, plain = _template(), asdict(Camera())
-    for key, value in asdict(camera).items():
-        if value != plain[key]:
-            line = toml_table({key: value}).rstrip()
-            document = re.sub(rf"^# {key} = \S+ *(?=#|$)", f"{line:40}", document, flags=re.MULTILINE)
+    plain = asdict(Camera())
+    known = {key: value for key, value in asdict(camera).items() if value != plain[key]}
+    given: Tables = {"material": {"name": UNNAMED}, "camera": known}
+    tables = [f"[{name}]\n{_lines(name, given.get(name, {}))}" for name in TABLES if name not in _BY_CALIBRATE]
     with atomic_write(path / "session.toml") as part:
-        part.write_text(document, encoding="utf-8")
+        part.write_text("\n".join([_TEMPLATE_HEAD, *tables]), encoding="utf-8")
+
+
+def _lines(name: str, given: Mapping[str, Any]) -> str:
+    """Each key of a table with what it means, behind a `#` where it has neither a value nor to be given one."""
+    lines = ""
+    for key, declared in keys_of(TABLES[name]).items():
+        on = key in given or declared.needed or declared.key.ask
+        line = f"{'' if on else '# '}{toml_table({key: given.get(key, declared.example)}).rstrip()}"
+        lines += f"{line:39} # {declared.meaning}\n"
+    return lines
 
 
 def camera_of_keys(file: Path, keys: Mapping[str, Any]) -> Camera:
     """[camera] of keys that are not None; InputError naming `file`, for which they are meant."""
     given = {key: value for key, value in keys.items() if value is not None}
-    camera: Camera = _record(file, "camera", checked(file, "[camera] ", given, TABLES["camera"][1]))
+    camera: Camera = _record(file, "camera", checked_table(file, "camera", given))
     return camera
-
-
-def _template() -> str:
-    return files("bssrdf.session").joinpath("template.toml").read_text(encoding="utf-8")
 
 
 def _read_tables(file: Path, top_checks: dict[str, Check]) -> tuple[dict[str, Any], Tables]:
@@ -187,14 +131,7 @@ def _read_tables(file: Path, top_checks: dict[str, Check]) -> tuple[dict[str, An
     check_format(file, document.pop("format", FORMAT))
     known_keys(file, "", document, [*top_checks, *TABLES])
     top = {key: value for key, value in document.items() if key in top_checks}
-    tables: Tables = {}
-    for name, raw in document.items():
-        if name not in TABLES:
-            continue
-        if not isinstance(raw, Mapping):
-            raise InputError(f"{file}: {name} = {shown(raw)} must be a table; write [{name}] and its keys below")
-        tables[name] = checked(file, f"[{name}] ", raw, TABLES[name][1])
-    _one_scale(file, tables.get("geometry", {}))
+    tables = {name: checked_table(file, name, raw) for name, raw in document.items() if name in TABLES}
     return checked(file, "", top, top_checks), tables
 
 
@@ -206,30 +143,23 @@ def _merged(calibration: Tables, own: Tables) -> Tables:
     return {name: calibration.get(name, {}) | own.get(name, {}) for name in calibration | own}
 
 
-def _one_scale(file: Path, geometry: dict[str, Any]) -> None:
-    if {"mm_per_px", "homography"} <= geometry.keys():
-        raise InputError(f"{file}: [geometry] has both mm_per_px and homography; keep one of them")
-
-
 def _check_required(file: Path, tables: Tables, names: Sequence[str]) -> None:
     """InputError that names every key that is missing, with the lines that would give them."""
     missing, lines = [], []
     for name in dict.fromkeys((*names, *tables)):
-        keys = [key for key in _REQUIRED.get(name, {}) if key not in tables.get(name, {})]
-        if name == "geometry" and "homography" in tables.get(name, {}):
-            keys = []
+        examples = missing_keys(keys_of(TABLES[name]), tables.get(name, {}))
         if name not in tables:
-            missing.append(f"[{name}]" + (f" with {' and '.join(keys)}" if keys else ""))
-        elif keys:
-            missing.append(f"[{name}] {' and '.join(keys)}")
-        if name not in tables or keys:
-            lines.append(" ".join([f"[{name}]", *(f"{key} = {_REQUIRED[name][key]}" for key in keys)]))
+            missing.append(f"[{name}]" + (f" with {' and '.join(examples)}" if examples else ""))
+        elif examples:
+            missing.append(f"[{name}] {' and '.join(examples)}")
+        if name not in tables or examples:
+            lines.append(f"[{name}] {toml_table(examples).replace(chr(10), ' ')}".rstrip())
     if missing:
         raise InputError(f"{file}: lacks {', '.join(missing)}; add lines such as `{'`, `'.join(lines)}`")
 
 
 def _record(file: Path, name: str, values: dict[str, Any]) -> Any:
-    record = TABLES[name][0](**values)
+    record = TABLES[name](**values)
     if isinstance(record, Camera):
         _black_below_white(file, record)
     if isinstance(record, Reference) and record.reflectance_sd is not None:

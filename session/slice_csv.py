@@ -14,60 +14,14 @@ from numpy.typing import NDArray
 
 from bssrdf.errors import InputError
 from bssrdf.session.atomic import atomic_write
-from bssrdf.session.checks import Check, by_channel, checked, choice, known_keys, list_of, number, shown, text
-from bssrdf.session.records import TOTAL_R_MAX, Array, ChannelSlice, Slice
-from bssrdf.session.slice_units import MM, column_unit, factor, in_mm
+from bssrdf.session.checks import known_keys, shown
+from bssrdf.session.keys import checked_keys, keys_of, missing_keys
+from bssrdf.session.records import Array, ChannelSlice, Slice
+from bssrdf.session.slice_units import Columns, column_unit, factor, in_mm
 from bssrdf.session.text_file import FORMAT, check_format, csv_text, parse_csv, parse_toml, read_text, toml_table
 
-_NOT_NEGATIVE = number(at_least=0, at_most=1e6)
-_LENGTH = number(at_least=1e-9, at_most=1e6)
-_ANGLE = number(at_least=0, below=90)
-
-
-def _table(value: Any) -> dict[str, Any]:
-    if not isinstance(value, Mapping):
-        raise ValueError("must be a table")
-    return dict(value)
-
-
-def _one_or_by_channel(item: Check) -> Check:
-    """One value for all channels, or a table by channel."""
-    table = by_channel(item)
-    return lambda value: (table if isinstance(value, Mapping) else item)(value)
-
-
-def _total(value: Any) -> float:
-    if isinstance(value, int | float) and 2 < value <= 100:
-        raise ValueError(f"must be a share of the light, not per cent: give {value / 100:g}")
-    return float(number(above=0, at_most=TOTAL_R_MAX)(value))
-
-
-HEADER: dict[str, Check] = {
-    "material": text,
-    "eta": number(above=0, at_most=10),
-    "g": number(above=-1, below=1),
-    "eta_sd": _NOT_NEGATIVE,
-    "g_sd": _NOT_NEGATIVE,
-    "flux": choice("incident", "entering"),
-    "exit": choice("hemisphere", "lambertian", "fresnel"),
-    "view_angle_deg": _ANGLE,
-    "view_angle_sd_deg": _NOT_NEGATIVE,
-    "azimuth": choice("perpendicular", "mean"),
-    "band_mm": _LENGTH,
-    "incidence_deg": _ANGLE,
-    "spot_radius_mm": _LENGTH,
-    "spot_radius_sd_mm": _NOT_NEGATIVE,
-    "total_r": _one_or_by_channel(_total),
-    "total_r_sd": _one_or_by_channel(_NOT_NEGATIVE),
-    "lost_fraction": _one_or_by_channel(number(at_least=0, below=1)),
-    "scale_rel_sd": _NOT_NEGATIVE,
-    "mm_rel_sd": _NOT_NEGATIVE,
-    "shared_errors": text,
-    "flags": lambda value: list_of(text)(value) if value else (),
-    "provenance": _table,
-}
-_REQUIRED = {"eta": "eta = 1.3", "flux": 'flux = "incident"', "exit": 'exit = "fresnel"'}
-_BY_CHANNEL = ("total_r", "total_r_sd", "lost_fraction")
+HEADER = {**keys_of(Slice), **keys_of(Columns)}
+"""What may stand above the table: what a slice is, and how its columns are written."""
 _COLUMNS = tuple(field.name for field in fields(ChannelSlice))
 _NEEDED = ("channel", "r_mm", "rd_per_mm2", "sd_per_mm2")
 _MAY_BE_EMPTY = ("sd_per_mm2",)
@@ -85,23 +39,24 @@ def read_slice(path: Path, **overrides: Any) -> Slice:
     check_format(path, raw.pop("format", FORMAT))
     written = raw.pop("unit", None)
     given = overrides.pop("unit", None) or written
-    unit = None if given is None else checked(path, "", {"unit": given}, {"unit": choice(*MM)})["unit"]
+    unit = None if given is None else checked_keys(path, "", {"unit": given}, Columns)["unit"]
     channels = dict(_channels(path, table_text, unit))
     raw |= {key: _over(raw.get(key), value, channels) for key, value in overrides.items() if value is not None}
-    header = checked(path, "", raw, HEADER)
-    for key, example in _REQUIRED.items():
-        if key not in header:
-            raise InputError(f"{path}: lacks {key}; add a line such as `# {example}` or give --{key}")
-    for key in _BY_CHANNEL:
-        if isinstance(header.get(key), float):
+    header = checked_keys(path, "", raw, Slice)
+    if lacking := missing_keys(HEADER, header):
+        lines = toml_table(lacking).rstrip().replace("\n", "`, `# ")
+        options = " ".join(f"--{key}" for key in lacking)
+        raise InputError(f"{path}: lacks {', '.join(lacking)}; add lines such as `# {lines}`, or give {options}")
+    for key in (name for name, declared in HEADER.items() if declared.by_channel and name in header):
+        if isinstance(header[key], float):
             header[key] = dict.fromkeys(channels, header[key])
-        known_keys(path, f"channel in {key} ", header.get(key, {}), channels)
+        known_keys(path, f"channel in {key} ", header[key], channels)
     return Slice(channels=channels, **header)
 
 
 def write_slice(path: Path, curve: Slice) -> None:
     """Write `curve` so that `read_slice` gives it back to the last bit."""
-    header = {key: getattr(curve, key) for key in HEADER if key != "provenance"}
+    header = {key: getattr(curve, key) for key in keys_of(Slice) if key != "provenance"}
     document = toml_table({"format": FORMAT} | {key: value for key, value in header.items() if value not in ({}, ())})
     if curve.provenance:
         document += "[provenance]\n" + toml_table(curve.provenance)

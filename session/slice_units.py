@@ -3,13 +3,28 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
+from typing import Annotated, Literal
 
 import numpy as np
 
+from bssrdf.session.keys import Key
 from bssrdf.session.records import Array, ChannelSlice, Slice
 
 MM = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "um": 0.001}
 """Length units by name [mm]."""
+
+
+@dataclass(frozen=True)
+class Columns:
+    """What a slice.csv may say of its own columns: nothing that is left once it has been read."""
+
+    unit: Annotated[
+        Literal["mm", "cm", "m", "um"],
+        Key("of the columns' lengths; R_d is in 1 over its square. Columns may be named by it: r_cm, rd_per_cm2"),
+    ] = "mm"
+
+
 SMALLEST_FAR_MM = 0.1
 """A curve that ends before this is hardly one of a camera or a fibre: most likely its radii are in metres."""
 MORE_THAN_ALL = 2.0

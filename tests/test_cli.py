@@ -7,6 +7,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import click
 import numpy as np
 import pytest
 
@@ -257,5 +258,6 @@ def test_the_published_table_is_checked_against_itself(capsys: pytest.CaptureFix
 
 
 def test_every_key_of_a_slice_is_an_option_of_fit() -> None:
-    options = {parameter.name for parameter in cli.commands["fit"].params}
+    command = cli.commands["fit"]
+    options = {parameter.name for parameter in command.get_params(click.Context(command))}
     assert HEADER.keys() - {"flags", "provenance"} <= options

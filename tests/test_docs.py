@@ -51,7 +51,7 @@ def test_every_key_of_a_slice_is_explained() -> None:
     explained = {
         name for row in re.findall(r"^\| (`.*?) \|", table, re.MULTILINE) for name in re.findall(r"`\[?(\w+)", row)
     }
-    assert explained == {*HEADER, "unit"}
+    assert explained == {*HEADER}
 
 
 @pytest.mark.parametrize("page", sorted({*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")}), ids=lambda p: p.name)

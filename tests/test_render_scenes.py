@@ -87,20 +87,20 @@ def fit_of(channels: str = "RGB", status: str = "converged") -> Fit:
     def channel(sigma_a: float) -> ChannelFit:
         nan = float("nan")
         return ChannelFit(
-            "mc",
-            sigma_a,
-            nan,
-            (nan, nan),
-            1.0,
-            nan,
-            (nan, nan),
-            nan,
-            nan,
-            nan,
-            (0, 1),
-            9,
-            nan,
-            status,  # type: ignore[arg-type]
+            model="mc",
+            sigma_a_per_mm=sigma_a,
+            sigma_a_sd_per_mm=nan,
+            sigma_a_interval95_per_mm=(nan, nan),
+            sigma_sp_per_mm=1.0,
+            sigma_sp_sd_per_mm=nan,
+            sigma_sp_interval95_per_mm=(nan, nan),
+            correlation=nan,
+            total_r_measured=nan,
+            total_r_model=nan,
+            window_mm=(0, 1),
+            n=9,
+            chi2_reduced=nan,
+            status=status,  # type: ignore[arg-type]
         )
 
     found = {name: channel(0.1 * number) for number, name in enumerate(channels)}

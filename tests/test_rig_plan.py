@@ -51,7 +51,10 @@ def test_a_series_is_even_in_stops(tmp_path: Path) -> None:
         (MATERIAL + "[exposures]\nfirst_s = 1\nlast_s = 2\n", "lacks steps_stops"),
         (MATERIAL + "[exposures]\nlist_s = [0]\n", "list_s = "),
         (MATERIAL + "[exposures]\nlist_s = [nan]\n", "list_s = "),
-        ('[material]\nname = "x"\n[exposures]\nauto = true\n', "lacks eta"),
+        (
+            '[material]\nname = "x"\n[exposures]\nauto = true\n',
+            r"lacks \[material\] eta; add lines such as `\[material\] eta = 1.3`",
+        ),
         ('kinds = ["dark"]\n' + MATERIAL + "[exposures]\nauto = true\n", "kinds = "),
         ("format = 2\n" + MATERIAL + "[exposures]\nauto = true\n", "newer than this version"),
         ("kidns = 1\n" + MATERIAL + "[exposures]\nauto = true\n", "did you mean kinds"),
@@ -80,7 +83,7 @@ def test_a_bench_keeps_drivers_and_session_tables_apart(tmp_path: Path) -> None:
         ('port = "/dev/ttyUSB0"', "", "lacks port; the driver sc10 needs it"),
         ('iso = "100"', "isso = 3", "isso is not known; did you mean iso"),
         ("[geometry]\nmm_per_px = 0.05\n", "", r"lacks the table \[geometry\]"),
-        ('name = "Spectralon"', "", r"\[reference\] is incomplete"),
+        ('name = "Spectralon"', "", r"lacks \[reference\] name; add"),
         ("white = 16383.0", "watchdog_s = 3", "watchdog_s is not known"),
     ],
 )

@@ -49,7 +49,7 @@ SESSION_CASES = {
     "gain 0": ("[camera]\ngain_e_per_dn = 0\n", ["gain_e_per_dn = 0", "> 0"]),
     "eta not finite": ('[camera]\n[material]\nname = "x"\neta = inf\n', ["[material] eta = inf", "finite"]),
     "eta negative": ('[camera]\n[material]\nname = "x"\neta = -1.5\n', ["eta = -1.5", "> 0"]),
-    "no eta": ('[camera]\n[material]\nname = "x"\n', ["lacks [material] eta", "eta = 1.5"]),
+    "no eta": ('[camera]\n[material]\nname = "x"\n', ["lacks [material] eta", "eta = 1.3"]),
     "g of 1": ('[camera]\n[material]\nname = "x"\neta = 1.3\ng = 1.0\n', ["g = 1.0", "< 1"]),
     "an unknown cover": ('[camera]\n[material]\nname = "x"\neta = 1.3\ncover = "foil"\n', ["cover = 'foil'", "glass"]),
     "no scale": ("[camera]\n[geometry]\n", ["lacks [geometry] mm_per_px"]),
@@ -66,7 +66,10 @@ SESSION_CASES = {
     "a channel twice": ('[camera]\n[beam]\nchannels = ["R", "R"]\n', ["channels", "twice"]),
     "no channel": ("[camera]\n[beam]\nchannels = []\n", ["channels = []"]),
     "reflectance 0": ('[camera]\n[reference]\nname = "x"\nreflectance = [0.0]\n', ["reflectance = [0.0]", "> 0"]),
-    "reflectance in percent": ('[camera]\n[reference]\nname = "x"\nreflectance = [99]\n', ["[99]", "<= 1.2"]),
+    "reflectance in percent": (
+        '[camera]\n[reference]\nname = "x"\nreflectance = [99]\n',
+        ["[99]", "not per cent: give 0.99"],
+    ),
     "errors of other channels": (
         '[camera]\n[reference]\nname = "x"\nreflectance = [0.9]\nreflectance_sd = [0.1, 0.1]\n',
         ["reflectance_sd", "2 values", "1"],

@@ -215,7 +215,7 @@ def test_the_command_line_wins_over_the_unit_of_the_file(tmp_path: Path) -> None
         (MINIMAL + "G,1.5,-3e-3,1e-4\n", r"line 10 is line 9 again \(r_mm = 1.5 in channel 'G'\)"),
         (MINIMAL + "G,2,1e300,1\n", r"line 10: rd_per_mm2 = '1e300' is out of reach"),
         (MINIMAL + "G,2,1,1e-300\n", r"line 10: sd_per_mm2 = '1e-300' is out of reach"),
-        ("# total_r = 45.3\n" + MINIMAL, r"total_r = 45.3 must be a share of the light, not per cent: give 0.453"),
+        ("# total_r = 45.3\n" + MINIMAL, r"total_r = 45.3 must be a share, not per cent: give 0.453"),
         ("# spot_radius_mm = 1e300\n" + MINIMAL, r"spot_radius_mm = 1e\+300 must be a finite number"),
         ("# scale_rel_sd = 1e300\n" + MINIMAL, r"scale_rel_sd = 1e\+300 must be a finite number"),
         (MINIMAL + "G,2,nan,1\n", r"line 10: rd_per_mm2 = 'nan' must be a finite number"),

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 
 from bssrdf.errors import InputError, UsageError
 from bssrdf.session.frames_csv import COLUMNS
+from bssrdf.session.keys import keys_of
 from bssrdf.session.records import Beam, Camera, Distortion, Geometry, Material, Reference, Session
 from bssrdf.session.session_toml import TABLES, read_session, write_calibration, write_session, write_template
 from bssrdf.session.text_file import toml_table
@@ -42,8 +43,8 @@ def test_written_session_is_read_back(tmp_path: Path, session: Session) -> None:
 
 
 def test_checks_cover_every_field() -> None:
-    for record, checks in TABLES.values():
-        assert list(checks) == [field.name for field in fields(record)]
+    for record in TABLES.values():
+        assert list(keys_of(record)) == [field.name for field in fields(record)]
 
 
 def test_own_keys_win_over_the_calibration(tmp_path: Path) -> None:
@@ -80,11 +81,11 @@ def test_template_is_a_session_and_every_commented_key_too(tmp_path: Path) -> No
     assert (tmp_path / "new" / "frames.csv").read_text().strip().split(",") == list(COLUMNS[:3])
 
     document = re.sub(r"(?m)^# (?=\w+ = )", "", (tmp_path / "new" / "session.toml").read_text())
-    for name, (_, checks) in TABLES.items():
+    for name, record in TABLES.items():
         if name not in ("distortion", "colour"):  # written by `bssrdf calibrate` alone
             for key, value in (table := tomllib.loads(document)[name]).items():
-                checks[key](value)
-            assert set(table) == set(checks)
+                keys_of(record)[key].check(value)
+            assert list(table) == list(keys_of(record))
 
 
 def test_every_missing_key_is_named_at_once_with_a_line_that_gives_it(tmp_path: Path) -> None:
@@ -93,7 +94,7 @@ def test_every_missing_key_is_named_at_once_with_a_line_that_gives_it(tmp_path: 
         read_session(tmp_path, complete=True)
     assert str(caught.value).endswith(
         "session.toml: lacks [material] eta, [geometry] with mm_per_px, [reference] with name and reflectance; "
-        "add lines such as `[material] eta = 1.5`, `[geometry] mm_per_px = 0.05`, "
+        "add lines such as `[material] eta = 1.3`, `[geometry] mm_per_px = 0.05`, "
         '`[reference] name = "Spectralon" reflectance = [0.99, 0.99, 0.99]`'
     )
     (tmp_path / "session.toml").write_text("[camera]\n[geometry]\nhomography = [[1, 0, 0], [0, 1, 0], [0, 0, 1]]\n")

@@ -17,7 +17,20 @@ SIGMA_A, SIGMA_SP, ETA = 0.4, 1.0, 1.3
 
 def a_fit() -> Fit:
     channel = ChannelFit(
-        "mc", SIGMA_A, 0.004, (0.39, 0.41), SIGMA_SP, 0.01, (0.98, 1.02), 0.0, 0.1, 0.1, (0.0, 8.0), 8, 1.0, "converged"
+        model="mc",
+        sigma_a_per_mm=SIGMA_A,
+        sigma_a_sd_per_mm=0.004,
+        sigma_a_interval95_per_mm=(0.39, 0.41),
+        sigma_sp_per_mm=SIGMA_SP,
+        sigma_sp_sd_per_mm=0.01,
+        sigma_sp_interval95_per_mm=(0.98, 1.02),
+        correlation=0.0,
+        total_r_measured=0.1,
+        total_r_model=0.1,
+        window_mm=(0.0, 8.0),
+        n=8,
+        chi2_reduced=1.0,
+        status="converged",
     )
     return Fit("0", "slice.csv", "", {}, None, ETA, 0.0, {"G": channel})
 
