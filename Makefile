@@ -2,7 +2,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 OUT ?= demo
 
-.PHONY: demo test slow check bench clean
+.PHONY: demo test slow check bench docs-tables clean
 
 demo: .venv/installed
 	$(BIN)/bssrdf demo --out $(OUT) --force
@@ -21,6 +21,9 @@ check: .venv/installed
 
 bench: .venv/installed
 	$(BIN)/bssrdf bench fit
+
+docs-tables: .venv/installed
+	$(BIN)/python docs/tables.py
 
 .venv/installed: pyproject.toml constraints.txt .ci/apt
 	.ci/apt

@@ -43,17 +43,21 @@ class Range:
     at_most: float = math.inf
 
     def __str__(self) -> str:
-        signs = ((">", self.above), ("≥", self.at_least), ("<", self.below), ("≤", self.at_most))
-        return ", ".join(f"{sign} {limit:g}" for sign, limit in signs if math.isfinite(limit))
+        """As a reader wants it: what only keeps a sum from overflowing is left out."""
+        above, at_least = (0, -math.inf) if self.at_least == LEAST else (self.above, self.at_least)
+        signs = ((">", above), ("≥", at_least), ("<", self.below), ("≤", self.at_most))
+        return ", ".join(f"{sign} {limit:g}".replace("-", "−") for sign, limit in signs if abs(limit) < MOST)
 
 
+LEAST, MOST = 1e-9, 1e6
+"""Beyond these a number is a slip, or of another unit, and its square may overflow on the way."""
 ANY = Range()
 POSITIVE = Range(above=0)
 ANGLE = Range(at_least=0, below=90)
 COSINE = Range(above=-1, below=1)
 SHARE = Range(at_least=0, below=1)
-ERROR = Range(at_least=0, at_most=1e6)
-LENGTH = Range(at_least=1e-9, at_most=1e6)
+ERROR = Range(at_least=0, at_most=MOST)
+LENGTH = Range(at_least=LEAST, at_most=MOST)
 
 
 @dataclass(frozen=True)
@@ -124,9 +128,9 @@ class Declared:
     @property
     def limits(self) -> str:
         """Its range or its choices."""
-        if get_origin(self.kind) is Literal:
-            return ", ".join(f'"{choice}"' for choice in get_args(self.kind))
-        return str(self.key.range)
+        item = get_args(self.kind)[0] if get_origin(self.kind) is tuple else self.kind
+        choices = get_args(item) if get_origin(item) is Literal else ()
+        return ", ".join(f'"{choice}"' for choice in choices) or str(self.key.range)
 
 
 @cache

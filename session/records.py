@@ -74,8 +74,12 @@ class Camera:
     ] = None
     black: Annotated[float | None, Key("level without light", ERROR, unit="DN", example=512.0)] = None
     white: Annotated[float | None, Key("level of saturation", POSITIVE, unit="DN", example=65535.0)] = None
-    gain_e_per_dn: Annotated[float | None, Key("else estimated from the frames", POSITIVE, example=1.0)] = None
-    read_noise_e: Annotated[float | None, Key("else estimated from the darks", ERROR, example=3.0)] = None
+    gain_e_per_dn: Annotated[
+        float | None, Key("electrons per DN; else estimated from the frames", POSITIVE, example=1.0)
+    ] = None
+    read_noise_e: Annotated[
+        float | None, Key("noise of reading out; else estimated from the darks", ERROR, example=3.0)
+    ] = None
     exposure_rel_sd: Annotated[
         float | None,
         Key("error of the exposures; else 0.03 for labels, 0.0005 for exposure_measured_s", POSITIVE, example=0.001),
@@ -94,7 +98,8 @@ class Geometry:
     """`[geometry]`: from pixels to mm in the surface. Either `mm_per_px` or `homography` is given."""
 
     mm_per_px: Annotated[
-        float | None, Key("in the surface, along the slice", POSITIVE, unit="mm", example=0.05, unless="homography")
+        float | None,
+        Key("scale in the surface, along the slice", POSITIVE, unit="mm", example=0.05, unless="homography"),
     ] = None
     homography: Annotated[
         tuple[tuple[float, float, float], ...] | None,
@@ -111,7 +116,7 @@ class Geometry:
     distance_mm: Annotated[float, Key("lens to surface; counts for a laser's speckle only", POSITIVE)] = 300.0
     view_angle_deg: Annotated[float, Key("camera against the surface normal", ANGLE, ask=True)] = 45.0
     view_angle_sd_deg: Annotated[
-        float | None, Key("its error; taken as 1, and flagged, if not given", ERROR, example=1.0)
+        float | None, Key("error of the view angle; taken as 1, and flagged, if not given", ERROR, example=1.0)
     ] = None
     view_axis: Annotated[
         Literal["x", "y"], Key("image axis that the view foreshortens; the slice crosses it", ask=True)
@@ -154,7 +159,7 @@ class Reference:
     reflectance_sd: Annotated[
         tuple[float, ...] | None,
         Key(
-            "its error; taken as 1 % of it, and flagged, if not given",
+            "error of each; taken as 1 % of it, and flagged, if not given",
             ERROR,
             example=(0.005, 0.005, 0.005),
             ask=True,
