@@ -17,7 +17,7 @@ from statistics import median
 import numpy as np
 
 from bssrdf.errors import BssrdfError
-from bssrdf.rig import Event, Scene, Sensor, SimulatedBench, capture_session, published_sample, white_tile
+from bssrdf.rig import BenchScene, Event, SimSensor, SimulatedBench, capture_session, published_sample, white_tile
 from bssrdf.session.atomic import sha256_of, sync
 from bssrdf.session.frames_csv import append_frame, recover_frames
 from bssrdf.session.records import Frame
@@ -77,10 +77,10 @@ class Run:
     problems: tuple[str, ...]
 
 
-def small_scene() -> Scene:
+def small_scene() -> BenchScene:
     """A bench whose frames are small and the same each time, so that a resumed capture can be compared."""
-    sensor = Sensor(height_px=80, width_px=120)
-    return Scene(published_sample("Skin1"), white_tile(), sensor, mm_per_px=0.2, noise="repeatable")
+    sensor = SimSensor(height_px=80, width_px=120)
+    return BenchScene(published_sample("Skin1"), white_tile(), sensor, mm_per_px=0.2, noise="repeatable")
 
 
 class Campaign:

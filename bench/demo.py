@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from bssrdf.errors import BssrdfError
-from bssrdf.rig import BRACKET_S, SCALE_REL_SD, TILE_SD, Scene, published_sample, simulated_bench, white_tile
+from bssrdf.rig import BRACKET_S, SCALE_REL_SD, TILE_SD, BenchScene, published_sample, simulated_bench, white_tile
 from bssrdf.transport import CHANNELS, find_material
 
 LIGHT = (
@@ -50,7 +50,7 @@ _LIMIT_S = 600.0
 
 
 @dataclass(frozen=True)
-class Cell:
+class DemoCell:
     """One coefficient of one channel of one material, as one model recovers it."""
 
     material: str
@@ -115,7 +115,7 @@ def _film(out: Path, name: str, seed: int, say: Callable[[str], None]) -> Path:
     )
     say(f"{name}: capture")
     errors = np.random.default_rng([seed, *name.encode()]).normal(size=2)
-    scene = Scene(
+    scene = BenchScene(
         published_sample(name),
         white_tile(),
         mm_per_px=MM_PER_PX[name],
@@ -131,7 +131,7 @@ def _film(out: Path, name: str, seed: int, say: Callable[[str], None]) -> Path:
     return session
 
 
-def _fit(sessions: Sequence[Path], model: str) -> list[Cell]:
+def _fit(sessions: Sequence[Path], model: str) -> list[DemoCell]:
     names = list(MM_PER_PX)
     lines = _command("fit", *MODELS[model], "--json", *(session / "measured/slice.csv" for session in sessions))
     return [
@@ -141,11 +141,11 @@ def _fit(sessions: Sequence[Path], model: str) -> list[Cell]:
     ]
 
 
-def _cells(name: str, model: str, channels: dict[str, dict[str, Any]]) -> list[Cell]:
+def _cells(name: str, model: str, channels: dict[str, dict[str, Any]]) -> list[DemoCell]:
     material, media = find_material(name), published_sample(name).media
     published = {"sigma_sp": material.sigma_sp_per_mm, "sigma_a": material.sigma_a_per_mm}
     return [
-        Cell(
+        DemoCell(
             name,
             channel,
             quantity,
@@ -172,7 +172,7 @@ def _command(*arguments: object) -> str:
     return done.stdout
 
 
-def table_lines(cells: Sequence[Cell]) -> list[str]:
+def table_lines(cells: Sequence[DemoCell]) -> list[str]:
     """One line a channel: published, recovered by the table model, its error and interval; the dipole's error."""
     found = {(cell.material, cell.channel, cell.quantity, cell.model): cell for cell in cells}
     head = ["material", ""]
@@ -192,7 +192,7 @@ def table_lines(cells: Sequence[Cell]) -> list[str]:
     return lines
 
 
-def summary_lines(cells: Sequence[Cell]) -> list[str]:
+def summary_lines(cells: Sequence[DemoCell]) -> list[str]:
     """How far the table model is off over the cells without Spectralon, and how many intervals hold the truth."""
     lines = []
     for quantity, symbol in (("sigma_sp", "σs′"), ("sigma_a", "σa")):

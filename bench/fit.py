@@ -17,7 +17,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from bssrdf.bench.fit_peers import Answer, Problem, jaxopt_soft, scipy_exact, scipy_slsqp, scipy_soft, timed
+from bssrdf.bench.fit_peers import PeerFit, PeerProblem, jaxopt_soft, scipy_exact, scipy_slsqp, scipy_soft, timed
 from bssrdf.fit.batch import Job, Options, fit_group
 from bssrdf.fit.models import Making
 from bssrdf.fit.terms import Constraint
@@ -43,7 +43,7 @@ OURS: tuple[tuple[Literal["dipole", "mc"], Constraint], ...] = (
 
 
 @dataclass(frozen=True)
-class Score:
+class FitScore:
     """One method: its speed and its median and 90th percentile relative errors."""
 
     method: str
@@ -61,12 +61,12 @@ class Score:
 @scoped_x64
 def run_fit_bench(
     *, out: Path | None = None, progress: Callable[[str, int, int], None] | None = None, batch: int = BATCH
-) -> list[Score]:
+) -> list[FitScore]:
     """Run every method; with `out` also write fit.json and fit.png there."""
     problem, sigma_a, sigma_sp = _problem(batch)
     few = _first(problem, SLOW)
     ratio = np.asarray(absorption_ratio(jnp.asarray(few.total_r), ETA))
-    steps: dict[str, Callable[[], Answer]] = {
+    steps: dict[str, Callable[[], PeerFit]] = {
         **{f"{model} {constraint}": partial(_ours, model, constraint, problem) for model, constraint in OURS},
         "jaxopt soft": lambda: jaxopt_soft(problem),
         "scipy least_squares exact": lambda: scipy_exact(few, ratio),
@@ -89,7 +89,7 @@ def run_fit_bench(
     return scores
 
 
-def table(scores: list[Score]) -> str:
+def table(scores: list[FitScore]) -> str:
     """The scores as Markdown; speeds also as ratios to SciPy one by one."""
     base = next(score.fits_per_second for score in scores if score.method == "scipy least_squares exact")
     lines = [
@@ -107,7 +107,7 @@ def table(scores: list[Score]) -> str:
     return "\n".join(lines)
 
 
-def _problem(batch: int) -> tuple[Problem, np.ndarray, np.ndarray]:
+def _problem(batch: int) -> tuple[PeerProblem, np.ndarray, np.ndarray]:
     """Curves with noise, and the coefficients that they were made from."""
     cells = [
         material.medium(channel)
@@ -126,15 +126,15 @@ def _problem(batch: int) -> tuple[Problem, np.ndarray, np.ndarray]:
     total_r = np.asarray(jax.vmap(lambda a, sp: light.total(Medium(a, sp, jnp.asarray(ETA))))(*medium[:2]))
     noisy = rd * (1 + 0.01 * rng.standard_normal(rd.shape))
     noisy_total = np.minimum(total_r * (1 + 0.002 * rng.standard_normal(batch)), 0.9999)
-    return Problem(r_mm, noisy, 0.01 * rd, noisy_total, 0.002 * total_r, ETA), sigma_a, sigma_sp
+    return PeerProblem(r_mm, noisy, 0.01 * rd, noisy_total, 0.002 * total_r, ETA), sigma_a, sigma_sp
 
 
-def _first(problem: Problem, rows: int) -> Problem:
+def _first(problem: PeerProblem, rows: int) -> PeerProblem:
     r_mm, rd, sd, total_r, total_r_sd = (each[:rows] for each in problem[:5])
-    return Problem(r_mm, rd, sd, total_r, total_r_sd, problem.eta)
+    return PeerProblem(r_mm, rd, sd, total_r, total_r_sd, problem.eta)
 
 
-def _ours(name: Literal["dipole", "mc"], constraint: Constraint, problem: Problem) -> Answer:
+def _ours(name: Literal["dipole", "mc"], constraint: Constraint, problem: PeerProblem) -> PeerFit:
     jobs = [
         Job((_slice(*row, problem.eta),), "X")
         for row in zip(problem.r_mm, problem.rd, problem.sd, problem.total_r, problem.total_r_sd, strict=True)
@@ -153,7 +153,7 @@ def _ours(name: Literal["dipole", "mc"], constraint: Constraint, problem: Proble
         return found[1]
 
     _, seconds = timed(run)
-    return Answer(found[0], found[1], seconds / len(jobs))
+    return PeerFit(found[0], found[1], seconds / len(jobs))
 
 
 def _slice(r: np.ndarray, rd: np.ndarray, sd: np.ndarray, total_r: float, total_sd: float, eta: float) -> Slice:
@@ -170,7 +170,7 @@ def _slice(r: np.ndarray, rd: np.ndarray, sd: np.ndarray, total_r: float, total_
     )
 
 
-def _score(name: str, answer: Answer, sigma_a: np.ndarray, sigma_sp: np.ndarray, optimum: Answer | None) -> Score:
+def _score(name: str, answer: PeerFit, sigma_a: np.ndarray, sigma_sp: np.ndarray, optimum: PeerFit | None) -> FitScore:
     rows = len(answer.sigma_a)
     error_sp = np.abs(answer.sigma_sp / sigma_sp[:rows] - 1)
     error_a = np.abs(answer.sigma_a / sigma_a[:rows] - 1)
@@ -178,7 +178,7 @@ def _score(name: str, answer: Answer, sigma_a: np.ndarray, sigma_sp: np.ndarray,
     if optimum is not None:
         both = [each.sigma_a[:SLOW] + each.sigma_sp[:SLOW] for each in (answer, optimum)]
         distance = float(np.max(np.abs(both[0] / both[1] - 1)))
-    return Score(
+    return FitScore(
         name,
         1 / answer.seconds_each,
         float(np.nanmedian(error_sp)),
@@ -190,7 +190,7 @@ def _score(name: str, answer: Answer, sigma_a: np.ndarray, sigma_sp: np.ndarray,
     )
 
 
-def _draw(path: Path, scores: list[Score]) -> None:
+def _draw(path: Path, scores: list[FitScore]) -> None:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 

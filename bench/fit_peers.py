@@ -17,7 +17,7 @@ from bssrdf.transport.dipole import Medium
 from bssrdf.transport.fresnel import boundary_a
 
 
-class Problem(NamedTuple):
+class PeerProblem(NamedTuple):
     """Curves on equal footing: a row each, every radius counting."""
 
     r_mm: np.ndarray
@@ -30,7 +30,7 @@ class Problem(NamedTuple):
     eta: float
 
 
-class Answer(NamedTuple):
+class PeerFit(NamedTuple):
     """Coefficients (b,) and what they took."""
 
     sigma_a: np.ndarray
@@ -66,7 +66,7 @@ def total_numpy(sigma_a: float, sigma_sp: float, a: float) -> float:
     return float(sigma_sp / sigma_tp / 2 * (1 + np.exp(-4 / 3 * a * q)) * np.exp(-q))
 
 
-def scipy_exact(problem: Problem, ratio: np.ndarray) -> Answer:
+def scipy_exact(problem: PeerProblem, ratio: np.ndarray) -> PeerFit:
     """`least_squares` in ln σt′ alone; `ratio` is σa/σt′ as R gives it."""
 
     def fit(row: int, a: float) -> Found:
@@ -82,7 +82,7 @@ def scipy_exact(problem: Problem, ratio: np.ndarray) -> Answer:
     return _one_by_one(problem, fit)
 
 
-def scipy_soft(problem: Problem) -> Answer:
+def scipy_soft(problem: PeerProblem) -> PeerFit:
     """`least_squares` in (ln σa, ln σs′), with R as one datum more."""
 
     def fit(row: int, a: float) -> Found:
@@ -100,7 +100,7 @@ def scipy_soft(problem: Problem) -> Answer:
     return _one_by_one(problem, fit)
 
 
-def scipy_slsqp(problem: Problem) -> Answer:
+def scipy_slsqp(problem: PeerProblem) -> PeerFit:
     """`minimize` by SLSQP with the constraint as the paper writes it: ∫R_d dA = R."""
 
     def fit(row: int, a: float) -> Found:
@@ -122,7 +122,7 @@ def scipy_slsqp(problem: Problem) -> Answer:
     return _one_by_one(problem, fit)
 
 
-def jaxopt_soft(problem: Problem) -> Answer:
+def jaxopt_soft(problem: PeerProblem) -> PeerFit:
     """jaxopt's Levenberg–Marquardt mapped over the batch, in the parameters of our own fit."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DeprecationWarning)
@@ -145,7 +145,7 @@ def jaxopt_soft(problem: Problem) -> Answer:
     run = jax.jit(jax.vmap(lambda x, *data: solver.run(x, *data).params))
     x, seconds = timed(lambda: jax.block_until_ready(run(start, *data)))
     sigma_tp, absorbed = np.exp(x[:, 0]), np.asarray(x[:, 1]) ** 2 / 3
-    return Answer(absorbed * sigma_tp, (1 - absorbed) * sigma_tp, seconds / len(problem.rd))
+    return PeerFit(absorbed * sigma_tp, (1 - absorbed) * sigma_tp, seconds / len(problem.rd))
 
 
 def timed(call: Callable[[], Any], repeats: int = 3) -> tuple[np.ndarray, float]:
@@ -159,7 +159,7 @@ def timed(call: Callable[[], Any], repeats: int = 3) -> tuple[np.ndarray, float]
     return np.asarray(result), best
 
 
-def _one_by_one(problem: Problem, fit: Callable[[int, float], Found]) -> Answer:
+def _one_by_one(problem: PeerProblem, fit: Callable[[int, float], Found]) -> PeerFit:
     a = float(boundary_a(problem.eta))
     began = time.perf_counter()
     with np.errstate(all="ignore"):  # some of them wander off; their errors show it
@@ -167,9 +167,9 @@ def _one_by_one(problem: Problem, fit: Callable[[int, float], Found]) -> Answer:
     seconds = (time.perf_counter() - began) / len(problem.rd)
     sigma_a, sigma_sp, success = (np.array(column) for column in zip(*found, strict=True))
     good = success & np.isfinite(sigma_a) & np.isfinite(sigma_sp)
-    return Answer(np.where(good, sigma_a, np.nan), np.where(good, sigma_sp, np.nan), seconds, int((~good).sum()))
+    return PeerFit(np.where(good, sigma_a, np.nan), np.where(good, sigma_sp, np.nan), seconds, int((~good).sum()))
 
 
-def _start(problem: Problem, row: int) -> float:
+def _start(problem: PeerProblem, row: int) -> float:
     """ln σt′ of a medium whose outermost radius is 15 mean free paths away."""
     return float(np.log(15 / problem.r_mm[row, -1]))

@@ -11,7 +11,7 @@ import numpy as np
 import tifffile
 from numpy.typing import NDArray
 
-from bssrdf.rig import Scene, Sensor, expose, published_sample, white_tile
+from bssrdf.rig import BenchScene, SimSensor, expose, published_sample, white_tile
 from bssrdf.session.frames_csv import write_frames
 from bssrdf.session.records import Beam, Camera, Frame, FrameKind, Geometry, Material, Reference, Session
 
@@ -94,10 +94,10 @@ FAULTS: dict[str, Fault] = {f.__name__: f for f in (good, lamp, flicker, black, 
 
 
 @lru_cache(maxsize=2)
-def scene(material: str = "marble") -> Scene:
+def scene(material: str = "marble") -> BenchScene:
     """A small camera of one colour on a published material."""
     sample, tile = (replace(each, media={"G": each.media["G"]}) for each in (published_sample(material), white_tile()))
-    return Scene(sample, tile, Sensor(200, 300, "mono"), mm_per_px=0.15, channel_power=(1.0,))  # type: ignore[arg-type]  # one channel
+    return BenchScene(sample, tile, SimSensor(200, 300, "mono"), mm_per_px=0.15, channel_power=(1.0,))  # type: ignore[arg-type]  # one channel
 
 
 @lru_cache(maxsize=2)
@@ -138,7 +138,7 @@ def write_session(path: Path, fault: Fault, seed: int, material: str = "marble",
     return session_of(path, Camera(sensor.layout, float(sensor.black_dn), float(sensor.white_dn)), material)
 
 
-def _moved(raw: NDArray[np.uint16], by_dn: float, sensor: Sensor, rng: np.random.Generator) -> NDArray[np.uint16]:
+def _moved(raw: NDArray[np.uint16], by_dn: float, sensor: SimSensor, rng: np.random.Generator) -> NDArray[np.uint16]:
     """The frame with its black moved, by parts of a DN too."""
     if by_dn == 0:
         return raw

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from bssrdf.bench.frame_faults import FAULTS, currents, scene, session_of, write_session
 from bssrdf.calib import Exposures, Surface
 from bssrdf.errors import InputError
-from bssrdf.measure import Hdr, Image, Options, measure_session, measure_slice
+from bssrdf.measure import Hdr, Image, SliceOptions, measure_session, measure_slice
 from bssrdf.session.records import Camera, ChannelSlice, Slice
 
 Array = NDArray[np.float64]
@@ -84,7 +84,7 @@ def true_slice(material: str) -> Slice:
         Image(kind, _noiseless(light), bench.sensor.layout, ("G",), Surface(session.geometry, None))
         for kind, light in currents(material).items()
     ]
-    found = measure_slice(session, images[0], images[1], {}, Exposures(), Options())
+    found = measure_slice(session, images[0], images[1], {}, Exposures(), SliceOptions())
     return replace(found, total_r=dict(zip("G", bench.radiance_factors(bench.sample), strict=True)))
 
 

@@ -25,7 +25,7 @@ _MOST_SECONDS = 3.0
 
 
 @dataclass(frozen=True)
-class Score:
+class MergeScore:
     """How one method did; by decade of radiance, the brightest first, in relative errors."""
 
     method: str
@@ -41,7 +41,7 @@ class HdrBench:
     """All scores, the least possible error by decade, and how right our variance map is."""
 
     bound: list[float]
-    scores: list[Score]
+    scores: list[MergeScore]
     chi2: float
     skipped: dict[str, str]
     """Why a method was left out."""
@@ -56,7 +56,7 @@ def run_hdr_bench(
     """
     scene = make_scene(height, width)
     decade = np.minimum(np.log10(scene.radiance.max() / scene.radiance).astype(np.int8), DECADES - 1)
-    runs: dict[str, list[_Run]] = {name: [] for name in METHODS}
+    runs: dict[str, list[_MergeRun]] = {name: [] for name in METHODS}
     skipped: dict[str, str] = {}
     for turn in range(rounds):
         for number, (name, prepare) in enumerate(METHODS.items()):
@@ -79,7 +79,7 @@ def run_hdr_bench(
             merged = merged.radiance
         errors = _by_decade(np.divide(merged, scene.radiance, dtype=np.float32) - 1, decade)
         seconds = float(np.median([run.seconds for run in done]))
-        scores.append(Score(name, seconds, done[0].peak_mib, *errors))
+        scores.append(MergeScore(name, seconds, done[0].peak_mib, *errors))
     least = [float(np.sqrt(np.mean(bound(scene.radiance)[decade == d] ** 2))) for d in range(DECADES)]
     bench = HdrBench(least, scores, chi2, skipped)
     if out is not None:
@@ -93,7 +93,7 @@ def _by_decade(error: Plane, decade: NDArray[np.int8]) -> tuple[list[float], lis
     return [float(np.sqrt(np.mean(part**2))) for part in parts], [float(np.mean(part)) for part in parts]
 
 
-class _Run(NamedTuple):
+class _MergeRun(NamedTuple):
     """One call: its image, wall time, and by how much the process grew; NaN without /proc."""
 
     merged: Hdr | Plane
@@ -101,7 +101,7 @@ class _Run(NamedTuple):
     peak_mib: float
 
 
-def _timed(method: Timed) -> _Run:
+def _timed(method: Timed) -> _MergeRun:
     stop = threading.Event()
     before = _resident_mib()
     peak = [before]
@@ -119,7 +119,7 @@ def _timed(method: Timed) -> _Run:
         seconds = time.perf_counter() - start
         stop.set()
         thread.join()
-    return _Run(merged, seconds, max(peak[0], _resident_mib()) - before)
+    return _MergeRun(merged, seconds, max(peak[0], _resident_mib()) - before)
 
 
 def _resident_mib() -> float:

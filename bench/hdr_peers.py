@@ -14,18 +14,18 @@ from tempfile import TemporaryDirectory
 import numpy as np
 from numpy.typing import NDArray
 
-from bssrdf.bench.hdr_scene import EXPOSURES_S, SENSOR, WHITE_DN, Plane, Scene
+from bssrdf.bench.hdr_scene import EXPOSURES_S, SENSOR, WHITE_DN, HdrScene, Plane
 from bssrdf.measure import Hdr, merge
-from bssrdf.rig import Sensor, dng_bytes
+from bssrdf.rig import SimSensor, dng_bytes
 
 Timed = Callable[[], Hdr | Plane]
 
 
-def ours(scene: Scene) -> Timed:
+def ours(scene: HdrScene) -> Timed:
     return partial(merge, scene.shots(), SENSOR)
 
 
-def _above_black(scene: Scene) -> list[NDArray[np.uint16]]:
+def _above_black(scene: HdrScene) -> list[NDArray[np.uint16]]:
     """Frames without their black level; clipped where saturated, as the other tools expect."""
     black = int(SENSOR.black_dn)
     return [
@@ -34,7 +34,7 @@ def _above_black(scene: Scene) -> list[NDArray[np.uint16]]:
     ]
 
 
-def opencv(create: str, scene: Scene) -> Timed:
+def opencv(create: str, scene: HdrScene) -> Timed:
     import cv2
 
     times = np.array(EXPOSURES_S, np.float32)
@@ -44,7 +44,7 @@ def opencv(create: str, scene: Scene) -> Timed:
     return lambda: np.asarray(tool.process(frames, times, linear), np.float32)
 
 
-def colour_hdri(scene: Scene) -> Timed:
+def colour_hdri(scene: HdrScene) -> Timed:
     import colour_hdri as tool
 
     stack = tool.ImageStack()
@@ -60,7 +60,7 @@ def colour_hdri(scene: Scene) -> Timed:
     return run
 
 
-def ccdproc(scene: Scene) -> Timed:
+def ccdproc(scene: HdrScene) -> Timed:
     """With saturation masked by hand: the tool has no such step. It takes planes: the channels lie side by side."""
     import ccdproc as tool
     from astropy import units
@@ -86,12 +86,14 @@ def ccdproc(scene: Scene) -> Timed:
     return run
 
 
-def hdrutils(scene: Scene) -> Timed:
+def hdrutils(scene: HdrScene) -> Timed:
     """On a Bayer mosaic, which is what it merges: a third of the samples, their dark signal taken off beforehand."""
     import HDRutils
 
     height, width, _ = scene.radiance.shape
-    camera = Sensor(height, width, "RGGB", bits=16, black_dn=int(SENSOR.black_dn), gain_e_per_dn=SENSOR.gain_e_per_dn)
+    camera = SimSensor(
+        height, width, "RGGB", bits=16, black_dn=int(SENSOR.black_dn), gain_e_per_dn=SENSOR.gain_e_per_dn
+    )
     folder = TemporaryDirectory()
     files = []
     for number, (frame, dark, t) in enumerate(zip(scene.frames, scene.darks, EXPOSURES_S, strict=True)):
@@ -129,7 +131,7 @@ def _bayer(frame: NDArray[np.uint16]) -> NDArray[np.uint16]:
     return np.ascontiguousarray(np.sum(frame * _filters(*frame.shape[:2]), axis=2, dtype=np.uint16))
 
 
-METHODS: dict[str, Callable[[Scene], Timed]] = {
+METHODS: dict[str, Callable[[HdrScene], Timed]] = {
     "bssrdf": ours,
     "OpenCV MergeDebevec": partial(opencv, "createMergeDebevec"),
     "OpenCV MergeRobertson": partial(opencv, "createMergeRobertson"),

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bssrdf.calib import Sensor
-from bssrdf.measure import Sample, Shot
+from bssrdf.measure import DarkPaired, Shot
 
 Plane = NDArray[np.float32]
 
@@ -25,7 +25,7 @@ _FALLOFF = (0.92, 1.0, 1.08)
 
 
 @dataclass(frozen=True)
-class Scene:
+class HdrScene:
     """True radiance [DN/s] of shape (h, w, 3), the frames that show it and their dark frames."""
 
     radiance: Plane
@@ -35,12 +35,12 @@ class Scene:
     def shots(self) -> list[Shot]:
         """The frames as the merge takes them."""
         return [
-            Shot(f"{number:02d}", t, partial(Sample, frame, dark, 1))
+            Shot(f"{number:02d}", t, partial(DarkPaired, frame, dark, 1))
             for number, (frame, dark, t) in enumerate(zip(self.frames, self.darks, EXPOSURES_S, strict=True))
         ]
 
 
-def make_scene(height: int = 800, width: int = 1200, seed: int = 0) -> Scene:
+def make_scene(height: int = 800, width: int = 1200, seed: int = 0) -> HdrScene:
     """A spot whose radiance falls by six decades towards the corners, faster in blue than in red."""
     rng = np.random.default_rng(seed)
     y, x = np.mgrid[-1 : 1 : height * 1j, -1 : 1 : width * 1j]
@@ -49,7 +49,7 @@ def make_scene(height: int = 800, width: int = 1200, seed: int = 0) -> Scene:
     radiance = np.stack([peak * 10 ** (-depth * steep) for steep in _FALLOFF], axis=-1).astype(np.float32)
     frames = [_expose(radiance, t, rng) for t in EXPOSURES_S]
     darks = [_expose(np.zeros_like(radiance), t, rng) for t in EXPOSURES_S]
-    return Scene(radiance, frames, darks)
+    return HdrScene(radiance, frames, darks)
 
 
 def _expose(radiance: Plane, exposure_s: float, rng: np.random.Generator) -> NDArray[np.uint16]:

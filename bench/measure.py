@@ -20,7 +20,7 @@ import cv2
 import numpy as np
 
 from bssrdf.bench.sabotage import MARBLE, currents, toml_of
-from bssrdf.rig import BRACKET_S, Sensor, dng_bytes, expose
+from bssrdf.rig import BRACKET_S, SimSensor, dng_bytes, expose
 from bssrdf.session.frames_csv import write_frames
 from bssrdf.session.records import Frame, FrameKind
 
@@ -51,7 +51,7 @@ def write_large(path: Path, times: int) -> int:
     """A session of frames of 400 × 600 pixels drawn `times` larger; returns the number of frames."""
     bench = replace(MARBLE, shape=SMALL)
     light, reflectance = currents(bench)
-    sensor = Sensor(height_px=times * SMALL[0], width_px=times * SMALL[1])
+    sensor = SimSensor(height_px=times * SMALL[0], width_px=times * SMALL[1])
     rng = np.random.default_rng(0)
     (path / "frames").mkdir(parents=True)
     frames = []

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bssrdf.bench.render_cases import MATERIALS, METHODS, REFERENCE, Case, cases
-from bssrdf.bench.render_results import KNOWN, CaseResult, Row, write_results
+from bssrdf.bench.render_results import KNOWN, CaseResult, ResultRow, write_results
 from bssrdf.bench.render_truth import cut_share, sky_radiance
 from bssrdf.errors import UsageError
 from bssrdf.render import EPSILON, RenderMaterial, Stage, find_medium, load_stage, render_pass
@@ -118,12 +118,12 @@ def _relative_se(images: Floats) -> Floats:
     return np.asarray(means.std(axis=0, ddof=1) / math.sqrt(len(means)) / np.maximum(means.mean(axis=0), 1e-30))
 
 
-def _row(case: Case, method: str, images: Floats, reference: Floats) -> Row:
+def _row(case: Case, method: str, images: Floats, reference: Floats) -> ResultRow:
     """Without its times."""
     mean = images.mean(axis=(0, 1, 2))
     ratio = mean / reference.mean(axis=(0, 1, 2))
     error = ratio * np.hypot(_relative_se(images), _relative_se(reference))
-    return Row(
+    return ResultRow(
         case.scene_name,
         case.material,
         method,

@@ -7,20 +7,20 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any
 
-from bssrdf.render import HALF_ALBEDO, Options, RenderMaterial, find_medium, spread_mm
+from bssrdf.render import HALF_ALBEDO, RenderMaterial, RenderOptions, find_medium, spread_mm
 from bssrdf.render.scenes.blocks import slab
 from bssrdf.render.scenes.figures import bust
 from bssrdf.render.scenes.place import panel, sky
-from bssrdf.render.scenes.record import Body, Camera, Scene
+from bssrdf.render.scenes.record import Body, Scene, Viewpoint
 
 MATERIALS = ("Marble", "Skimmilk", "Skin1", "Ketchup", "Spectralon", HALF_ALBEDO)
 RADII = (1.0, 3.0, 10.0, 30.0)
 """Of the balls, in units of the spread: R σtr, where there is absorption."""
 METHODS = {
-    "brdf": Options("brdf"),
-    "bssrdf exact": Options("bssrdf"),
-    "bssrdf exponential": Options("bssrdf", sampling="exponential"),
-    "mc": Options("mc"),
+    "brdf": RenderOptions("brdf"),
+    "bssrdf exact": RenderOptions("bssrdf"),
+    "bssrdf exponential": RenderOptions("bssrdf", sampling="exponential"),
+    "mc": RenderOptions("mc"),
 }
 REFERENCE = "mc"
 
@@ -75,5 +75,5 @@ def ball(material: RenderMaterial, radius_mm: float) -> Scene:
         "sky": sky(0.02),
     }
     width = 2 * math.sqrt(0.5) * radius_mm  # inside the outline: no pixel of the background
-    camera = Camera(at(0, -6.0, 0), at(0, 0, 0), width_mm=width)
+    camera = Viewpoint(at(0, -6.0, 0), at(0, 0, 0), width_mm=width)
     return Scene("ball", {"ball": body}, lights, camera)

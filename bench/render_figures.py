@@ -6,7 +6,7 @@ import argparse
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from bssrdf.render import TERMS, Options, Pixels, exposure, render, shown
+from bssrdf.render import TERMS, Pixels, RenderOptions, exposure, render, shown
 from bssrdf.render.scenes.catalogue import build_scene
 from bssrdf.session.atomic import atomic_write, make_folder
 
@@ -19,7 +19,7 @@ class Panel:
     """One picture of a figure."""
 
     title: str
-    options: Options
+    options: RenderOptions
     material: str | None = None
     samples: int = 128
 
@@ -35,7 +35,7 @@ class Figure:
     brighter: float = 1.0
 
 
-BRDF, BSSRDF = Panel("BRDF", Options("brdf")), Panel("BSSRDF", Options("bssrdf"))
+BRDF, BSSRDF = Panel("BRDF", RenderOptions("brdf")), Panel("BSSRDF", RenderOptions("bssrdf"))
 FIGURES = {
     8: Figure("block", (BRDF, BSSRDF), "BSSRDF", 2, brighter=6.0),
     9: Figure(
@@ -43,8 +43,8 @@ FIGURES = {
         (
             BRDF,
             replace(BSSRDF, samples=512),
-            Panel("full Monte Carlo", Options("mc"), samples=192),
-            *(Panel(f"{term} alone", Options("bssrdf", terms=(term,)), samples=512) for term in TERMS),
+            Panel("full Monte Carlo", RenderOptions("mc"), samples=192),
+            *(Panel(f"{term} alone", RenderOptions("bssrdf", terms=(term,)), samples=512) for term in TERMS),
         ),
         "BSSRDF",
         3,
@@ -53,9 +53,9 @@ FIGURES = {
     10: Figure(
         "milk",
         (
-            Panel("whole milk, BRDF", Options("brdf"), "Wholemilk"),
-            Panel("skim milk", Options("bssrdf"), "Skimmilk", samples=256),
-            Panel("whole milk", Options("bssrdf"), "Wholemilk", samples=256),
+            Panel("whole milk, BRDF", RenderOptions("brdf"), "Wholemilk"),
+            Panel("skim milk", RenderOptions("bssrdf"), "Skimmilk", samples=256),
+            Panel("whole milk", RenderOptions("bssrdf"), "Wholemilk", samples=256),
         ),
         "whole milk",
         3,

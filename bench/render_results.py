@@ -17,7 +17,7 @@ KNOWN = ("terms", "terms, paper", "Monte Carlo table")
 
 
 @dataclass(frozen=True)
-class Row:
+class ResultRow:
     """One method on one case; triples are by channel."""
 
     scene: str
@@ -46,7 +46,7 @@ class Row:
 class CaseResult:
     """The methods on one case, and how good its reference is."""
 
-    rows: tuple[Row, ...]
+    rows: tuple[ResultRow, ...]
     reference: str
     cut: tuple[float, ...]
     """Relative share of the light that the reference's longest path cuts off, estimated; by channel."""

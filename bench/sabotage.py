@@ -22,7 +22,17 @@ from numpy.typing import NDArray
 from bssrdf.errors import InputError
 from bssrdf.fit.run import FitOptions, fit_slices
 from bssrdf.measure import measure_session
-from bssrdf.rig import Scene, Sensor, View, dng_bytes, expose, mosaic, picture, published_sample, white_tile
+from bssrdf.rig import (
+    BenchScene,
+    PictureGeometry,
+    SimSensor,
+    dng_bytes,
+    expose,
+    mosaic,
+    picture,
+    published_sample,
+    white_tile,
+)
 from bssrdf.session.frames_csv import write_frames
 from bssrdf.session.records import Frame, FrameKind
 from bssrdf.session.session_toml import read_session
@@ -38,7 +48,7 @@ _SPOT_NODES = np.polynomial.hermite_e.hermegauss(5)
 
 
 @dataclass(frozen=True)
-class Bench:
+class SabotagedBench:
     """The bench as it is, and, where that differs, as session.toml says it is."""
 
     material: str = "Marble"
@@ -58,7 +68,7 @@ class Bench:
     """Of the sample in the later half of its bracket."""
     centre_px: dict[str, tuple[float, float]] = field(default_factory=dict)
     shape: tuple[int, int] = (320, 480)
-    sensors: dict[str, Sensor] = field(default_factory=dict)
+    sensors: dict[str, SimSensor] = field(default_factory=dict)
     """By kind, where it is not the usual one."""
     iso: dict[str, int] = field(default_factory=dict)
     dark_time: float = 1.0
@@ -69,7 +79,7 @@ class Bench:
     """Keys of session.toml, by table, that are not the truth or are not given by rule."""
 
 
-class _Rolled(View):
+class _Rolled(PictureGeometry):
     """A camera turned about its axis, or a sample whose light reaches farther one way."""
 
     turn: float
@@ -89,9 +99,9 @@ class _Rolled(View):
         return np.asarray(np.diag([1 / self.stretch, 1.0, 1.0]) @ plane)
 
 
-def currents(bench: Bench) -> tuple[dict[str, Array], tuple[float, ...]]:
+def currents(bench: SabotagedBench) -> tuple[dict[str, Array], tuple[float, ...]]:
     """Mean photo-current of each pixel [e⁻/s] by kind, and the tile's radiance factors."""
-    scene = Scene(published_sample(bench.material), white_tile(), view_angle_deg=bench.view_angle_deg)
+    scene = BenchScene(published_sample(bench.material), white_tile(), view_angle_deg=bench.view_angle_deg)
     height, width = bench.shape
     out = {}
     for kind, subject in (("sample", scene.sample), ("reference", scene.tile)):
@@ -101,13 +111,13 @@ def currents(bench: Bench) -> tuple[dict[str, Array], tuple[float, ...]]:
             for (channel, light), power in zip(scene.light(subject).items(), scene.channel_power, strict=True)
         }
         out[kind] = mosaic(_sensor(bench, kind), planes)
-    e_per_s = _PEAK * Sensor().full_well_e / (max(current.max() for current in out.values()) * EXPOSURES_S[0])
+    e_per_s = _PEAK * SimSensor().full_well_e / (max(current.max() for current in out.values()) * EXPOSURES_S[0])
     return {kind: bench.brightness * e_per_s * current for kind, current in out.items()}, scene.radiance_factors(
         scene.tile
     )
 
 
-def _spot_picture(bench: Bench, kind: str, light: Any, centre: tuple[float, float]) -> Array:
+def _spot_picture(bench: SabotagedBench, kind: str, light: Any, centre: tuple[float, float]) -> Array:
     """The picture of a beam that may be wider along the view, seen by a camera that may be out of focus."""
     spread = bench.spot_mm / 2 * np.sqrt(max(bench.spot_aspect**2 - 1, 0.0))
     nodes, weights = _SPOT_NODES if spread else (np.zeros(1), np.ones(1))
@@ -124,12 +134,12 @@ def _spot_picture(bench: Bench, kind: str, light: Any, centre: tuple[float, floa
     return np.asarray(cv2.GaussianBlur(total, (0, 0), blur)) if blur else total
 
 
-def _sensor(bench: Bench, kind: str) -> Sensor:
+def _sensor(bench: SabotagedBench, kind: str) -> SimSensor:
     height, width = bench.shape
-    return replace(bench.sensors.get(kind, Sensor()), height_px=height, width_px=width)
+    return replace(bench.sensors.get(kind, SimSensor()), height_px=height, width_px=width)
 
 
-def write_session(path: Path, bench: Bench, seed: int = 0) -> None:
+def write_session(path: Path, bench: SabotagedBench, seed: int = 0) -> None:
     """A session folder of this bench."""
     rng = np.random.default_rng(seed)
     light, reflectance = currents(bench)
@@ -152,7 +162,7 @@ def write_session(path: Path, bench: Bench, seed: int = 0) -> None:
     (path / "session.toml").write_text(toml_of(bench, reflectance), encoding="utf-8")
 
 
-def toml_of(bench: Bench, reflectance: Sequence[float]) -> str:
+def toml_of(bench: SabotagedBench, reflectance: Sequence[float]) -> str:
     """session.toml of this bench."""
     geometry = {"mm_per_px": bench.mm_per_px, "view_angle_deg": bench.view_angle_deg, "view_axis": bench.view_axis}
     eta = next(iter(published_sample(bench.material).media.values())).eta
@@ -171,7 +181,7 @@ def toml_of(bench: Bench, reflectance: Sequence[float]) -> str:
 class Sabotage(NamedTuple):
     """A session with one fault."""
 
-    bench: Bench
+    bench: SabotagedBench
     causes: tuple[str, ...]
     """Flags that name it."""
 
@@ -180,15 +190,15 @@ def _said(**geometry: Any) -> dict[str, dict[str, Any]]:
     return {"geometry": geometry}
 
 
-def _tile(factor: float, bench: Bench) -> Bench:
-    scene = Scene(published_sample(bench.material), white_tile())
+def _tile(factor: float, bench: SabotagedBench) -> SabotagedBench:
+    scene = BenchScene(published_sample(bench.material), white_tile())
     return replace(
         bench, said={"reference": {"reflectance": [factor * each for each in scene.radiance_factors(scene.tile)]}}
     )
 
 
-MARBLE = Bench()
-SKIN = Bench("Skin1", 0.06, spot_mm=0.2)
+MARBLE = SabotagedBench()
+SKIN = SabotagedBench("Skin1", 0.06, spot_mm=0.2)
 SABOTAGES: dict[str, Sabotage] = {
     "axis": Sabotage(replace(MARBLE, said=_said(view_axis="x")), ()),
     "axis, skin": Sabotage(replace(SKIN, said=_said(view_axis="x")), ()),
@@ -206,9 +216,9 @@ SABOTAGES: dict[str, Sabotage] = {
     "tile -2 %": Sabotage(_tile(0.98, MARBLE), ("reflectance_sd_assumed",)),
     "ISO": Sabotage(replace(MARBLE, iso={"reference": 200}), ()),
     "bits": Sabotage(
-        replace(MARBLE, sensors={"reference": Sensor(bits=12, black_dn=128, gain_e_per_dn=16.0)}), ("bits_differ",)
+        replace(MARBLE, sensors={"reference": SimSensor(bits=12, black_dn=128, gain_e_per_dn=16.0)}), ("bits_differ",)
     ),
-    "layout": Sabotage(replace(MARBLE, sensors={"reference": Sensor(layout="BGGR")}), ("layout_differs",)),
+    "layout": Sabotage(replace(MARBLE, sensors={"reference": SimSensor(layout="BGGR")}), ("layout_differs",)),
     "no darks": Sabotage(replace(MARBLE, without=("sample_dark",)), ()),
     "darks of another exposure": Sabotage(replace(MARBLE, dark_time=0.25), ("dark_differs",)),
     "out of focus": Sabotage(
@@ -221,7 +231,7 @@ SABOTAGES: dict[str, Sabotage] = {
 }
 
 
-class Outcome(NamedTuple):
+class Caught(NamedTuple):
     """What became of a session."""
 
     name: str
@@ -229,23 +239,23 @@ class Outcome(NamedTuple):
     how: str
 
 
-def judge(name: str, folder: Path, *, holds_truth: Callable[[Path, Bench], bool] | None = None) -> Outcome:
+def judge(name: str, folder: Path, *, holds_truth: Callable[[Path, SabotagedBench], bool] | None = None) -> Caught:
     """Make, measure and judge one session; without `holds_truth` only refusals and flags count."""
     bench, causes = SABOTAGES[name]
     write_session(folder, bench)
     try:
         curve = measure_session(read_session(folder)).slice
     except InputError as error:
-        return Outcome(name, True, f"refused: {str(error).replace(str(folder), '…')}")
+        return Caught(name, True, f"refused: {str(error).replace(str(folder), '…')}")
     assert curve is not None
     named = [flag for flag in curve.flags if flag in causes]
     held = holds_truth is not None and holds_truth(folder, bench)
     if named:
-        return Outcome(name, True, f"flagged: {' '.join(named)}{'; its intervals hold the truth' if held else ''}")
-    return Outcome(name, held, "its intervals hold the truth" if held else f"missed: flags {' '.join(curve.flags)}")
+        return Caught(name, True, f"flagged: {' '.join(named)}{'; its intervals hold the truth' if held else ''}")
+    return Caught(name, held, "its intervals hold the truth" if held else f"missed: flags {' '.join(curve.flags)}")
 
 
-def truth_is_held(folder: Path, bench: Bench) -> bool:
+def truth_is_held(folder: Path, bench: SabotagedBench) -> bool:
     """Whether every interval of the fit that has one holds what the bench was given."""
     (fit,) = fit_slices([read_slice(folder / "measured/slice.csv")], FitOptions())
     media = published_sample(bench.material).media

@@ -15,7 +15,7 @@ from bssrdf.commands.console import Command, fresh, is_quiet, warn
 from bssrdf.errors import UsageError
 
 if TYPE_CHECKING:
-    from bssrdf.render import Model, Options
+    from bssrdf.render import Model, RenderOptions
     from bssrdf.render.scenes.record import Scene
 
 Decorated = TypeVar("Decorated", bound=Callable[..., Any])
@@ -132,14 +132,14 @@ def _refuse(paths: list[Path], force: bool) -> None:
             raise UsageError(f"{path.parent} is not a folder; make it first, or choose another --out")
 
 
-def _options(given: dict[str, Any], terms: str | None) -> Options:
-    from bssrdf.render import TERMS, Options
+def _options(given: dict[str, Any], terms: str | None) -> RenderOptions:
+    from bssrdf.render import TERMS, RenderOptions
 
     wanted = TERMS if terms is None else tuple(term.strip() for term in terms.split(","))
     for term in wanted:
         if term not in TERMS:
             raise UsageError(f'term "{term}" is not one of {", ".join(TERMS)}')
-    return Options(
+    return RenderOptions(
         terms=wanted, sampling=given.pop("sampling"), paper=given.pop("paper"), mc_depth=given.pop("mc_depth")
     )
 
@@ -176,7 +176,7 @@ def _mesh(path: Path | None, height_mm: float | None) -> Any:
     return mesh
 
 
-def _with_model(subject: Scene | Path, options: Options, model: str, explain: bool) -> Options:
+def _with_model(subject: Scene | Path, options: RenderOptions, model: str, explain: bool) -> RenderOptions:
     """The options with the model that was asked for, or that `auto` chooses."""
     from dataclasses import replace
 
@@ -208,7 +208,7 @@ def _say_overlap(subject: Scene | Path) -> None:
             click.echo(overlap_text(material), err=True)
 
 
-def _provenance(scene: str, subject: Scene | Path, options: Options, samples: int, seed: int) -> dict[str, Any]:
+def _provenance(scene: str, subject: Scene | Path, options: RenderOptions, samples: int, seed: int) -> dict[str, Any]:
     """What made the picture, for its file."""
     from dataclasses import asdict
     from importlib.metadata import version

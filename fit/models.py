@@ -9,7 +9,7 @@ from typing import Literal, NamedTuple
 from bssrdf.errors import InputError
 from bssrdf.session.records import Slice
 from bssrdf.transport import NORMAL, Incidence, Policy, Progress, allowed, nearest, place, shipped, table_model
-from bssrdf.transport.light import Dipole, Light, Table, dipole, table_of
+from bssrdf.transport.light import Dipole, Light, WhiteTable, dipole, table_of
 
 ModelName = Literal["auto", "dipole", "mc"]
 ASSUMED_G = 0.0
@@ -45,7 +45,7 @@ class Truth(NamedTuple):
     """A table that says how wrong the dipole is, with the dipole of the same index."""
 
     dipole: Dipole
-    table: Table
+    table: WhiteTable
     own: bool
     """Whether it is that of the medium, and not of the nearest."""
 
@@ -57,7 +57,7 @@ def beam_of(piece: Slice) -> Incidence:
     return Incidence(piece.incidence_deg, across=piece.exit == "fresnel" and piece.azimuth == "perpendicular")
 
 
-def table_of_medium(piece: Slice, policy: Policy, making: Making) -> Table:
+def table_of_medium(piece: Slice, policy: Policy, making: Making) -> WhiteTable:
     """The table of the slice's medium and beam, g drawn into range; raises InputError where the policy forbids it."""
     found = place(piece.eta, ASSUMED_G if piece.g is None else piece.g, beam=beam_of(piece))
     if not allowed(found, policy):
@@ -94,7 +94,7 @@ def truth_of(piece: Slice, policy: Policy, making: Making) -> Truth | None:
 
 
 @lru_cache(maxsize=64)
-def _table(eta: float, g: float, making: Making, beam: Incidence = NORMAL) -> Table:
+def _table(eta: float, g: float, making: Making, beam: Incidence = NORMAL) -> WhiteTable:
     table = table_of(table_model(eta, g, beam=beam, announce=making.announce, progress=making.progress))
     coarse = place(eta, g, beam=beam).origin == "shipped" and not tabulated(eta, g)
     if not coarse:
@@ -123,6 +123,6 @@ def tabulated(eta: float, g: float | None) -> bool:
     return shipped().covers(eta, ASSUMED_G if g is None else g)
 
 
-def shipped_table(eta: float, g: float) -> Table:
+def shipped_table(eta: float, g: float) -> WhiteTable:
     """The table of a medium that `tabulated` knows."""
     return _table(eta, g, Making())

@@ -18,7 +18,7 @@ from bssrdf.fit.observe import NEAREST_MFP
 from bssrdf.fit.solve import REST, Solution, optimise, settle
 from bssrdf.fit.terms import Laid, Neighbours, Plan, Point, Problem, Weights, curve, lay
 from bssrdf.transport.arrays import NUMPY
-from bssrdf.transport.light import Light, Table, coefficients, dipole, shape_of
+from bssrdf.transport.light import Light, WhiteTable, coefficients, dipole, shape_of
 from bssrdf.transport.white.grid import R_ZERO, V_MAX
 
 Floats = NDArray[np.float64]
@@ -36,7 +36,7 @@ def to_log(q: Floats) -> Floats:
     return np.stack([np.stack([one, 2 / q], 1), np.stack([one, -2 * q / 3 / (1 - q * q / 3)], 1)], 1)
 
 
-def table_error(model: Table, data: Problem, found: Solution, judged: Judged) -> Floats:
+def table_error(model: WhiteTable, data: Problem, found: Solution, judged: Judged) -> Floats:
     """From the Monte Carlo noise of the table's knots, which are independent."""
     q = np.clip(np.abs(found.point.q), 1e-12, model.q_max)
     knots = model.log_curve_sd.shape[1]

@@ -149,18 +149,18 @@ def _towards_camera(e: Engine, sight: Sight, model: Light, q: Any, x: Any, sin_t
     return value / law, by_x / law, by_q / law
 
 
-class Azimuths(NamedTuple):
+class AzimuthAverage(NamedTuple):
     """Averages over the azimuths between light and camera: of cos 2φ, and the share of φ = 0 over a circle's."""
 
     cos_2: Any
     along: Any
 
 
-def azimuths(e: Engine, arc: Any, sin_turn: Any) -> Azimuths:
+def azimuths(e: Engine, arc: Any, sin_turn: Any) -> AzimuthAverage:
     """Of a bin's pixels within ±`arc` [rad] of the line across the view, light turned against their radius by δ."""
     xp = e.xp
     along = (arc > 0) & (xp.abs(sin_turn) > xp.cos(arc) - 1e-6)
-    return Azimuths(
+    return AzimuthAverage(
         cos_2=(2 * sin_turn**2 - 1) * xp.abs(xp.sinc(2 * arc / np.pi)),
         along=xp.where(along, np.pi / 2 / xp.maximum(arc, 0.1), 0.0),
     )

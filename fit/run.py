@@ -28,7 +28,7 @@ from bssrdf.fit.terms import Constraint
 from bssrdf.fit.verdict import FEWEST, Extra, channel_fits, covariances, inflation, needs_profile
 from bssrdf.session.records import ChannelFit, Slice
 from bssrdf.transport import NORMAL, Policy
-from bssrdf.transport.light import Light, Table, coefficients
+from bssrdf.transport.light import Light, WhiteTable, coefficients
 
 OTHER_G = (0.0, 0.35, 0.6, 0.8, 0.9)
 ETA_AWAY = 0.1
@@ -133,7 +133,7 @@ def batches(jobs: Sequence[Job], options: FitOptions, making: Making) -> Iterato
 
 def _dipole_will_do(fitted: Fitted) -> np.ndarray:
     """The rule of `models.RULE`: whether the dipole, fitted to the table's light, finds its medium."""
-    assert isinstance(fitted.model, Table)
+    assert isinstance(fitted.model, WhiteTable)
     turn = to_log(fitted.found.point.q)
     sd = np.sqrt(np.maximum(np.einsum("bij,bjk,bik->bi", turn, covariances(fitted), turn), 0.0))
     good = fitted.found.converged & (sd > DIPOLE_BEST).all(axis=1)
@@ -162,7 +162,7 @@ def _subset(fitted: Fitted, rows: np.ndarray) -> Fitted:
 def extra_of(fitted: Fitted, making: Making) -> Extra:
     """What further models say of a batch."""
     extra = Extra(_profiles(fitted), [{}] * len(fitted.jobs), _slopes(fitted), _others(fitted), None, True)
-    if isinstance(fitted.model, Table):
+    if isinstance(fitted.model, WhiteTable):
         error = table_error(fitted.model, fitted.data, fitted.found, fitted.judged)
         return extra._replace(model_error=_by_name(error))
     piece = fitted.jobs[0].pieces[0]

@@ -9,15 +9,15 @@ if TYPE_CHECKING:
     from bssrdf.measure.calibrate import radius_of_edge as radius_of_edge
     from bssrdf.measure.calibrate import radius_on_target as radius_on_target
     from bssrdf.measure.flags import MEANING as MEANING
+    from bssrdf.measure.hdr import DarkPaired as DarkPaired
     from bssrdf.measure.hdr import Hdr as Hdr
     from bssrdf.measure.hdr import Progress as Progress
-    from bssrdf.measure.hdr import Sample as Sample
     from bssrdf.measure.hdr import Shot as Shot
     from bssrdf.measure.hdr import merge as merge
     from bssrdf.measure.image import Image as Image
     from bssrdf.measure.session import Measured as Measured
     from bssrdf.measure.session import measure_session as measure_session
-    from bssrdf.measure.slice import Options as Options
+    from bssrdf.measure.slice import SliceOptions as SliceOptions
     from bssrdf.measure.slice import measure_slice as measure_slice
 else:
     __getattr__, __dir__, __all__ = door(__name__, __file__)

@@ -12,14 +12,14 @@ from numpy.typing import NDArray
 
 from bssrdf.calib import Response, fit_response, master_dark
 from bssrdf.errors import InputError
-from bssrdf.measure.hdr import Sample, Shot
+from bssrdf.measure.hdr import DarkPaired, Shot
 from bssrdf.session.constancy import CONSTANT_KINDS
 from bssrdf.session.frame_files import read_frame_file
 from bssrdf.session.frames_csv import dark_for
 from bssrdf.session.raw_frame import RawFrame, by_place, filled
 from bssrdf.session.records import Camera, Frame, FrameKind, Session
 
-Corrections = Mapping[tuple[str, float], Callable[[Sample], Sample]]
+Corrections = Mapping[tuple[str, float], Callable[[DarkPaired], DarkPaired]]
 
 LABEL_REL_SD, MEASURED_REL_SD = 0.03, 0.0005
 """Errors assumed for a label (EXIF rounds by up to 6.7 %) and for a time that the shutter measured."""
@@ -75,16 +75,16 @@ class _Loader:
     bracket: Bracket
     frame: Frame
     darks: tuple[Frame, ...]
-    correction: Callable[[Sample], Sample] | None
+    correction: Callable[[DarkPaired], DarkPaired] | None
 
-    def __call__(self) -> Sample:
+    def __call__(self) -> DarkPaired:
         raw = self.bracket.read_whole(self.frame)
         darks = [self.bracket.read_whole(dark) for dark in self.darks]
         for dark, frame in zip(darks, self.darks, strict=True):
             if dark.data.shape != raw.data.shape:
                 path = self.bracket.folder / frame.file
                 raise InputError(f"{path}: has {_size(dark.data)}, not the {_size(raw.data)} of {self.frame.file}")
-        sample = Sample(raw.data, master_dark([_at_black_of(raw, dark) for dark in darks]), len(darks))
+        sample = DarkPaired(raw.data, master_dark([_at_black_of(raw, dark) for dark in darks]), len(darks))
         return self.correction(sample) if self.correction else sample
 
 

@@ -40,7 +40,7 @@ _LEAST_RESPONSE = 0.05
 """A pixel that sees less than this share of its colour's mean cannot be corrected."""
 
 
-class Sample(NamedTuple):
+class DarkPaired(NamedTuple):
     """One frame and its master dark [DN], of shape (h, w) or (h, w, 3)."""
 
     raw: NDArray[Any]
@@ -54,7 +54,7 @@ class Shot:
 
     name: str
     exposure_s: float
-    load: Callable[[], Sample]
+    load: Callable[[], DarkPaired]
 
 
 @dataclass(frozen=True)
@@ -92,7 +92,7 @@ def merge(
     ordered = sorted(shots, key=lambda shot: (shot.exposure_s, shot.name))
     steps = 2 * len(ordered)
 
-    def samples(first_step: int) -> Iterator[tuple[Shot, Sample]]:
+    def samples(first_step: int) -> Iterator[tuple[Shot, DarkPaired]]:
         for i, pair in enumerate(read_ahead(ordered)):
             yield pair
             if progress:
@@ -120,10 +120,10 @@ def merge(
     return Hdr(radiance, variance, count, mask)
 
 
-def read_ahead(shots: Sequence[Shot]) -> Iterator[tuple[Shot, Sample]]:
+def read_ahead(shots: Sequence[Shot]) -> Iterator[tuple[Shot, DarkPaired]]:
     """Load frames by two threads, at most two ahead, and hand them out in order; InputError where sizes differ."""
     with ThreadPoolExecutor(_READERS) as readers:
-        waiting: list[Future[Sample]] = [readers.submit(shot.load) for shot in shots[:_READERS]]
+        waiting: list[Future[DarkPaired]] = [readers.submit(shot.load) for shot in shots[:_READERS]]
         shape = None
         for i, shot in enumerate(shots):
             sample = waiting.pop(0).result()
@@ -138,7 +138,7 @@ def read_ahead(shots: Sequence[Shot]) -> Iterator[tuple[Shot, Sample]]:
             yield shot, sample
 
 
-def _poisson_sum(samples: Iterator[tuple[Shot, Sample]], sensor: Sensor) -> tuple[Plane, Plane, Counts]:
+def _poisson_sum(samples: Iterator[tuple[Shot, DarkPaired]], sensor: Sensor) -> tuple[Plane, Plane, Counts]:
     """Σ(x − d), Σt and the number of unsaturated samples, by pixel."""
     signal = seconds = count = None
     for shot, (raw, dark, _) in samples:
@@ -163,14 +163,14 @@ def _response(sensor: Sensor, raw: NDArray[Any]) -> tuple[NDArray[np.float32], n
     return sensor.saturation_rows(raw.shape), np.float32(sensor.bend_per_dn()), pivot
 
 
-def _noise(shot: Shot, sample: Sample, sensor: Sensor, model_rel_sd: float) -> list[Any]:
+def _noise(shot: Shot, sample: DarkPaired, sensor: Sensor, model_rel_sd: float) -> list[Any]:
     """Exposure time [s], variance of darkness [DN²], gain, and variance of the model relative to the light squared."""
     values = (shot.exposure_s, _darkness_variance(sample, sensor), sensor.gain_e_per_dn, model_rel_sd**2)
     return [np.float32(value) for value in values]
 
 
 def _reweighted_sum(
-    samples: Iterator[tuple[Shot, Sample]], sensor: Sensor, model_rel_sd: float, expected: Plane
+    samples: Iterator[tuple[Shot, DarkPaired]], sensor: Sensor, model_rel_sd: float, expected: Plane
 ) -> tuple[Plane, Plane]:
     """Inverse-variance mean of (x − d)/t and its variance, where the variance is that of `expected` [DN/s]."""
     weighted, weight = np.zeros_like(expected), np.zeros_like(expected)
@@ -186,7 +186,7 @@ def _reweighted_sum(
 
 
 def _poisson_variance(
-    samples: Iterator[tuple[Shot, Sample]], sensor: Sensor, model_rel_sd: float, radiance: Plane, seconds: Plane
+    samples: Iterator[tuple[Shot, DarkPaired]], sensor: Sensor, model_rel_sd: float, radiance: Plane, seconds: Plane
 ) -> Plane:
     """Variance of the Poisson sum of `seconds` Σt, each sample's being that of `radiance` [DN/s]."""
     variance = np.zeros_like(radiance)
@@ -200,7 +200,7 @@ def _poisson_variance(
     return variance
 
 
-def _darkness_variance(sample: Sample, sensor: Sensor) -> np.float32:
+def _darkness_variance(sample: DarkPaired, sensor: Sensor) -> np.float32:
     """Variance [DN²] of x − d without light: read noise and the shot noise of the dark signal, of both frames.
 
     The dark signal is the frame's median. Weights that followed the noise of d pixel by pixel would favour low darks:

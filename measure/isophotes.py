@@ -17,7 +17,7 @@ import numpy as np
 from bssrdf.calib import Spot, Surface
 from bssrdf.errors import InputError
 from bssrdf.measure.image import Image
-from bssrdf.measure.reflectance import Total, blocks_of
+from bssrdf.measure.reflectance import TotalReflectance, blocks_of
 from bssrdf.measure.tail import Surroundings
 from bssrdf.session.records import Array, Session
 from bssrdf.transport import second_harmonic, shipped
@@ -59,7 +59,7 @@ class Aspect(NamedTuple):
     sd: float
 
 
-class Seen(NamedTuple):
+class Isophotes(NamedTuple):
     """What the isophotes say: by image where they could be read, and the flags that follow."""
 
     aspects: dict[str, Aspect]
@@ -80,7 +80,7 @@ def view_angle_by(aspect: Aspect, stated_deg: float) -> float | None:
     return float(np.degrees(np.arccos(cosine))) if cosine <= 1 else None
 
 
-class View(NamedTuple):
+class Expected(NamedTuple):
     """What is known before the isophotes are looked at."""
 
     session: Session
@@ -89,13 +89,13 @@ class View(NamedTuple):
     """1/e² radius of the spot as it looks."""
     channel: str
     """The one that is looked at."""
-    totals: tuple[Total, Total]
+    totals: tuple[TotalReflectance, TotalReflectance]
     """Of sample and tile."""
     total_r: float
     view_angle_sd_deg: float
 
 
-def look_at_isophotes(view: View, images: tuple[Image, Image], spots: tuple[Spot, Spot]) -> Seen:
+def look_at_isophotes(view: Expected, images: tuple[Image, Image], spots: tuple[Spot, Spot]) -> Isophotes:
     """Hold sample and tile against the stated view; InputError where both say that the axis is the other one."""
     geometry, incidence_deg = view.session.geometry, view.session.beam.incidence_deg
     assert geometry
@@ -109,22 +109,22 @@ def look_at_isophotes(view: View, images: tuple[Image, Image], spots: tuple[Spot
     if sample is None:
         tile_off = tile is not None and _is_off(tile, stated_sd)
         raised = {"aspect_off": tile_off, "geometry_unchecked": not tile_off}
-        return Seen(aspects, [flag for flag, is_raised in raised.items() if is_raised])
-    return Seen(aspects, _flags(sample, tile, geometry.view_angle_deg, stated_sd))
+        return Isophotes(aspects, [flag for flag, is_raised in raised.items() if is_raised])
+    return Isophotes(aspects, _flags(sample, tile, geometry.view_angle_deg, stated_sd))
 
 
-def _unchecked(aspects: dict[str, Aspect]) -> Seen:
+def _unchecked(aspects: dict[str, Aspect]) -> Isophotes:
     raised = {"geometry_unchecked": True}
-    return Seen(aspects, list(raised))
+    return Isophotes(aspects, list(raised))
 
 
-def _look(view: View, images: tuple[Image, Image], spots: tuple[Spot, Spot]) -> tuple[Aspect | None, Aspect | None]:
+def _look(view: Expected, images: tuple[Image, Image], spots: tuple[Spot, Spot]) -> tuple[Aspect | None, Aspect | None]:
     """Of sample and tile. The tile's, whose light needs no model, says where to look for the sample's."""
     tile = _of_tile(view, images[1], spots[1])
     return _of_sample(view, images[0], spots[0], tile.along if tile else 0.0), tile
 
 
-def _of_sample(view: View, image: Image, spot: Spot, start: float) -> Aspect | None:
+def _of_sample(view: Expected, image: Image, spot: Spot, start: float) -> Aspect | None:
     if view.total_r < _LEAST_TOTAL:
         return None
     around, material = view.around, view.session.material
@@ -139,7 +139,7 @@ def _of_sample(view: View, image: Image, spot: Spot, start: float) -> Aspect | N
     return aspect_of(image, view.channel, spot, radii, harmonic, start)
 
 
-def _of_tile(view: View, image: Image, spot: Spot) -> Aspect | None:
+def _of_tile(view: Expected, image: Image, spot: Spot) -> Aspect | None:
     """By the light that the tile spreads, else by the core of the spot, as far as the beam is round."""
     skirt = aspect_of(image, view.channel, spot, (_INNER_SPOTS * view.spot_mm, np.inf), np.zeros_like)
     if skirt is not None:
@@ -150,7 +150,7 @@ def _of_tile(view: View, image: Image, spot: Spot) -> Aspect | None:
 
 
 def _refuse_other_axis(
-    view: View, images: tuple[Image, Image], spots: tuple[Spot, Spot], stated: tuple[Aspect, Aspect]
+    view: Expected, images: tuple[Image, Image], spots: tuple[Spot, Spot], stated: tuple[Aspect, Aspect]
 ) -> None:
     if any(_misfit(each) < _SWAP_SD for each in stated):
         return
@@ -196,7 +196,7 @@ def _other_axis(image: Image) -> Image:
     return replace(image, surface=Surface(other, image.surface.distortion))
 
 
-def mean_free_path(total: Total, total_r: float, around: Surroundings) -> tuple[float, float]:
+def mean_free_path(total: TotalReflectance, total_r: float, around: Surroundings) -> tuple[float, float]:
     """1/σt′ [mm] and q = √(1 − α′), by R and by the radius beyond which half of the light leaves."""
     loss, kappa = around.loss(total_r), around.attenuation(total_r)
     rings = total.profile.value * np.pi * (total.profile.r_hi**2 - total.profile.r_lo**2)

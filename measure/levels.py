@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from bssrdf.calib import Gain, Sensor, by_row, least_signal, pair_gain, rows_of
 from bssrdf.errors import InputError
 from bssrdf.measure.bracket import Bracket
-from bssrdf.measure.hdr import Sample, Shot, read_ahead
+from bssrdf.measure.hdr import DarkPaired, Shot, read_ahead
 
 _DARKER_SD = 5.0
 _LEAST_FLUX_PIXELS = 100
@@ -93,7 +93,7 @@ def levels_of(bracket: Bracket, sensor: Sensor) -> Iterator[Level]:
         yield level
 
 
-def telling_rows(sample: Sample) -> Any:
+def telling_rows(sample: DarkPaired) -> Any:
     """The rows of a bracket's shortest frame by which its frames are compared, in pairs as a mosaic has them."""
     height, pixels_a_row = len(sample.raw), sample.raw[0].size
     if sample.raw.size <= _SPOT_PIXELS + _MOST_PIXELS:
@@ -109,7 +109,7 @@ def telling_rows(sample: Sample) -> Any:
     return np.flatnonzero(telling)
 
 
-def _add(level: Level, signal: NDArray[np.float32], sample: Sample, sensor: Sensor) -> None:
+def _add(level: Level, signal: NDArray[np.float32], sample: DarkPaired, sensor: Sensor) -> None:
     """One more frame of the label."""
     if level.n_frames == 1:
         level.gain = _gain_of_two(level, signal, sensor.unsaturated(np.maximum(level.brightest, sample.raw)), sensor)
@@ -145,7 +145,7 @@ class Correction:
     """What pixels beside saturated ones get more."""
     sensor: Sensor | None = None
 
-    def __call__(self, sample: Sample) -> Sample:
+    def __call__(self, sample: DarkPaired) -> DarkPaired:
         """The frame with its dark put right."""
         dark: NDArray[np.float32] = by_row(np.add, sample.dark, rows_of(self.offset_dn, sample.raw.shape))
         if self.sensor and any(self.leak_dn):

@@ -44,7 +44,7 @@ class Points(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Profile:
+class RadialProfile:
     """Bins of a curve, arrays of shape (m,), and the smooth curve drawn through them."""
 
     r_lo: Array
@@ -69,7 +69,7 @@ class Curve:
     Within the innermost bin ln f is a parabola about the centre, as an even function has it.
     """
 
-    def __init__(self, profile: Profile) -> None:
+    def __init__(self, profile: RadialProfile) -> None:
         r, value = profile.r, profile.value
         clear = value > 5 * profile.sd
         n = len(r) if clear.all() else int(np.argmin(clear))
@@ -104,7 +104,7 @@ def bin_edges(step: float, r_max: float) -> Array:
     return np.array(edges)
 
 
-def profile(points: Points, edges: Array, footprint: tuple[float, float], band: float | None) -> Profile:
+def profile(points: Points, edges: Array, footprint: tuple[float, float], band: float | None) -> RadialProfile:
     """Robust bin averages of `points`.
 
     `footprint` is the width of a pixel across and along; `band` the full width of the slice along the view, None for
@@ -153,7 +153,7 @@ def _bins(
     bin_model: Array,
     steepness: Array,
     keep: NDArray[np.bool_],
-) -> Profile:
+) -> RadialProfile:
     n_bins = len(edges) - 1
 
     def total(x: Array) -> Array:
@@ -175,7 +175,7 @@ def _bins(
         shape_sd = _SHAPE_REL_SD * np.abs(value) * (steepness / n) ** 2
     scatter_sd[members < 3] = np.nan
     used = n > 0
-    return Profile(
+    return RadialProfile(
         edges[:-1][used],
         edges[1:][used],
         value[used],

@@ -15,7 +15,7 @@ from bssrdf.calib import Spot
 from bssrdf.errors import InputError
 from bssrdf.measure.image import Image
 from bssrdf.measure.pixels import mosaic_period
-from bssrdf.measure.profile import Points, Profile, bin_edges, profile
+from bssrdf.measure.profile import Points, RadialProfile, bin_edges, profile
 from bssrdf.measure.pyramid import Blocks
 from bssrdf.measure.tail import Estimate, Surroundings, Tail, fit_tail
 from bssrdf.session.records import Array, ChannelSlice
@@ -36,7 +36,7 @@ _BEYOND_REL_SD = 0.02
 
 
 @dataclass(frozen=True)
-class Total:
+class TotalReflectance:
     """All light of an image in one channel [DN/s · mm²], that beyond the frame included, and what it is made of."""
 
     light: float
@@ -45,7 +45,7 @@ class Total:
     """Share of `light` that left the frame."""
     floor: Estimate
     """Veiling glare [DN/s] that was taken off every pixel."""
-    profile: Profile
+    profile: RadialProfile
     """Radiance over the distance from the spot, from the whole image."""
     light_by_count: Array
     """Light within the frame by the number of samples that were merged for its pixel."""
@@ -53,7 +53,7 @@ class Total:
 
 def total_light(
     image: Image, channel: str, spot: Spot, surroundings: Surroundings, *, glare: bool, per_light: float | None = None
-) -> Total:
+) -> TotalReflectance:
     """Σ p A_px over the frame, with what the tail of the curve says of the light outside.
 
     Pixels without a value count as their distance from the beam makes them. With `glare` a floor over the whole frame
@@ -83,16 +83,16 @@ def total_light(
                 attenuation = surroundings.attenuation((inside + outside_of(fit.tail)) * per_light)
                 fit = fit_tail(curve, reach, boundary, with_floor=True, attenuation=attenuation)
     if fit is None:
-        return Total(inside, float(np.sqrt(variance)), 0.0, Estimate(0.0, 0.0), curve, by_count)
+        return TotalReflectance(inside, float(np.sqrt(variance)), 0.0, Estimate(0.0, 0.0), curve, by_count)
     outside = fit.estimate(outside_of)
     beyond = fit.tail.beyond(outline)
     light = inside + outside.value
     sd = float(np.sqrt(variance + outside.sd**2 + (_BEYOND_REL_SD * beyond) ** 2))
-    return Total(light, sd, beyond / light, fit.estimate(lambda tail: tail.floor), curve, by_count)
+    return TotalReflectance(light, sd, beyond / light, fit.estimate(lambda tail: tail.floor), curve, by_count)
 
 
 def evident_floor(
-    image: Image, spot: Spot, surroundings: Surroundings, total: Total, per_light: float
+    image: Image, spot: Spot, surroundings: Surroundings, total: TotalReflectance, per_light: float
 ) -> Estimate | None:
     """The even floor [DN/s], of either sign, that lies under the tail of a curve clear of its error; None if none."""
     attenuation = surroundings.attenuation(total.light * per_light)
@@ -104,7 +104,7 @@ def evident_floor(
     return floor if abs(floor.value) > _FLOOR_SD * floor.sd else None
 
 
-def doubted(total: Total, floor: Estimate, image: Image, spot: Spot) -> tuple[Total, bool]:
+def doubted(total: TotalReflectance, floor: Estimate, image: Image, spot: Spot) -> tuple[TotalReflectance, bool]:
     """The total with a floor that stays in it as its error, and whether that is a notable share of the light."""
     across, along = image.outline(spot)
     light = abs(floor.value * float(np.trapezoid(along, across)))
@@ -112,7 +112,7 @@ def doubted(total: Total, floor: Estimate, image: Image, spot: Spot) -> tuple[To
     return wider, light > _GLARE_SHARE * total.light
 
 
-def rounded(total: Total, hidden: float, image: Image, spot: Spot) -> Total:
+def rounded(total: TotalReflectance, hidden: float, image: Image, spot: Spot) -> TotalReflectance:
     """The total with the error that rounding makes where a pixel shows no more than `hidden` [DN/s].
 
     There anything from nothing to that may be lost, about half of it, by all pixels alike; and not more than is under
@@ -147,7 +147,7 @@ def _points(image: Image, blocks: Blocks, spot: Spot) -> Points:
     return Points(across, along, good.value, good.variance, good.n)
 
 
-def radial_profile(image: Image, channel: str, spot: Spot, blocks: Blocks | None = None) -> Profile:
+def radial_profile(image: Image, channel: str, spot: Spot, blocks: Blocks | None = None) -> RadialProfile:
     """Radiance over the distance from the spot, from the whole image."""
     points = _points(image, blocks_of(image, channel, spot) if blocks is None else blocks, spot)
     footprint = image.footprint(spot)
@@ -161,7 +161,7 @@ def usual_band_mm(image: Image, spot: Spot) -> float:
     return float(_BAND_PX * image.footprint(spot)[0])
 
 
-def slice_profiles(image: Image, channel: str, spot: Spot, band_mm: float) -> dict[int, Profile]:
+def slice_profiles(image: Image, channel: str, spot: Spot, band_mm: float) -> dict[int, RadialProfile]:
     """Radiance along the slice on its two sides (−1, +1), within a band of the full width `band_mm`."""
     centre, footprint = (spot.x_px, spot.y_px), image.footprint(spot)
     reach = 1.5 * max(footprint) / min(footprint)
@@ -175,7 +175,7 @@ def slice_profiles(image: Image, channel: str, spot: Spot, band_mm: float) -> di
     blocks = Blocks(*(np.concatenate(fields) for fields in zip(*parts, strict=True)))
     points = _points(image, blocks, spot)
     step = footprint[0] * mosaic_period(image.layout)
-    sides: dict[int, Profile] = {}
+    sides: dict[int, RadialProfile] = {}
     for side in (-1, 1):
         here = (side * points.across > 0) & (np.abs(points.along) <= band_mm / 2)
         if not here.any():
@@ -189,7 +189,7 @@ def slice_profiles(image: Image, channel: str, spot: Spot, band_mm: float) -> di
     return sides
 
 
-def channel_slice(profiles: dict[int, Profile], floor: Estimate, per_light: float) -> ChannelSlice:
+def channel_slice(profiles: dict[int, RadialProfile], floor: Estimate, per_light: float) -> ChannelSlice:
     """Rows of slice.csv: profiles above the floor of glare times `per_light` = 1/KΦ; side 0 stands for both."""
     parts = sorted(profiles.items())
 

@@ -19,7 +19,7 @@ from bssrdf.measure.learn import Learnt, learn_camera
 from bssrdf.measure.merged import Merged, Told, inputs_of, read_elsewhere, read_merged
 from bssrdf.measure.pixels import channel_names, mosaic_period
 from bssrdf.measure.plot import write_slice_png
-from bssrdf.measure.slice import Options, measure_slice
+from bssrdf.measure.slice import SliceOptions, measure_slice
 from bssrdf.measure.total_errors import Timing
 from bssrdf.session.atomic import replace_folder, sha256_of
 from bssrdf.session.constancy import check_constant, with_cards
@@ -67,7 +67,7 @@ def measure_session(
     curve = None
     if not hdr_only:
         sample, reference = (_image(kind, merged.images, told.layouts[kind], session) for kind in _KINDS)
-        options = Options(radial, glare, band_mm)
+        options = SliceOptions(radial, glare, band_mm)
         curve = measure_slice(session, sample, reference, told.timing, told.exposures, options, told.flags)
         unnamed = ["unnamed"] if session.material and session.material.name == UNNAMED else []
         curve = replace(

@@ -11,11 +11,11 @@ from bssrdf.calib import Exposures, Spot
 from bssrdf.errors import InputError
 from bssrdf.measure.flags import MEANING
 from bssrdf.measure.image import Image, beam_on_sample, beam_on_tile, has_second_spot, locate, spot_radius_mm
-from bssrdf.measure.isophotes import Seen, View, look_at_isophotes
+from bssrdf.measure.isophotes import Expected, Isophotes, look_at_isophotes
 from bssrdf.measure.pixels import channel_names
-from bssrdf.measure.profile import Profile
+from bssrdf.measure.profile import RadialProfile
 from bssrdf.measure.reflectance import (
-    Total,
+    TotalReflectance,
     channel_slice,
     doubted,
     evident_floor,
@@ -52,7 +52,7 @@ _EXPLAIN = (
 
 
 @dataclass(frozen=True)
-class Options:
+class SliceOptions:
     """How to read the images. Lengths in mm."""
 
     radial: bool = False
@@ -67,7 +67,7 @@ def measure_slice(
     reference: Image,
     timing: Mapping[str, Timing],
     exposures: Exposures,
-    options: Options,
+    options: SliceOptions,
     found: Sequence[str] = (),
 ) -> Slice:
     """The slice of a session, in the camera's own convention; InputError where no channel can be measured.
@@ -94,7 +94,7 @@ def measure_slice(
     totals_sd: dict[str, float] = {}
     lost: dict[str, float] = {}
     scale_rel_sd = [0.0]
-    seen: dict[float, tuple[str, tuple[Total, Total]]] = {}
+    seen: dict[float, tuple[str, tuple[TotalReflectance, TotalReflectance]]] = {}
     for channel in sample.channels:
         if reference.is_saturated(channel):
             continue
@@ -125,11 +125,11 @@ def measure_slice(
         flags += [flag for flag, is_raised in raised.items() if is_raised]
     tile_rel_sd, mm_rel_sd, view_angle_sd_deg, assumed = stated_errors(tile, geometry)
     flags += assumed
-    isophotes = Seen({}, ["geometry_unchecked"])
+    isophotes = Isophotes({}, ["geometry_unchecked"])
     if seen:
         wide = max(radius.value, core_mm)
         brightest = max(seen)
-        view = View(session, around, wide, *seen[brightest], brightest, view_angle_sd_deg)
+        view = Expected(session, around, wide, *seen[brightest], brightest, view_angle_sd_deg)
         isophotes = look_at_isophotes(view, (sample, reference), (beam, spots[1]))
     flags += isophotes.flags
     if not channels:
@@ -163,12 +163,12 @@ def _light(
     channel: str,
     spot: Spot,
     around: Surroundings,
-    options: Options,
+    options: SliceOptions,
     hidden: float,
     *,
     reflects: float = 0.0,
     per_light: float = 0.0,
-) -> tuple[Total, list[str]]:
+) -> tuple[TotalReflectance, list[str]]:
     """All light of an image in a channel, what an even floor under it does allowed for, and the flags of that.
 
     1/KΦ is `per_light`, or what makes the light of a surface that `reflects` so much. Glare only adds: a floor below
@@ -227,7 +227,7 @@ def _spot_flags(given_mm: float, on_tile: Estimate) -> list[str]:
     return [flag for flag, is_raised in raised.items() if is_raised]
 
 
-def _disagree(side: Profile, everywhere: Profile, around: Surroundings) -> bool:
+def _disagree(side: RadialProfile, everywhere: RadialProfile, around: Surroundings) -> bool:
     """Whether one side of the slice departs from the whole image by more than noise, a few percent and the exit law."""
     clear = (side.value > 10 * side.sd) & (side.r < everywhere.r[-1])
     if clear.sum() < _LEAST_BINS:

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.optimize import brentq, least_squares
 
-from bssrdf.measure.profile import Profile
+from bssrdf.measure.profile import RadialProfile
 from bssrdf.session.records import Array
 from bssrdf.transport import decay_constant, half_space
 from bssrdf.transport.exit_radiance import boundary_a, transmittance
@@ -149,7 +149,7 @@ class TailFit:
 
 
 def fit_tail(
-    profile: Profile, reach: float, boundary: Boundary, *, with_floor: bool, attenuation: float | None = None
+    profile: RadialProfile, reach: float, boundary: Boundary, *, with_floor: bool, attenuation: float | None = None
 ) -> TailFit | None:
     """The tail of a curve seen round a beam that is `reach` from the nearest edge; None where there is too little.
 

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from bssrdf.calib import Exposures
-from bssrdf.measure.reflectance import Total
+from bssrdf.measure.reflectance import TotalReflectance
 from bssrdf.session.records import Array, Geometry, Reference, Session
 
 _REFLECTANCE_REL_SD = 0.01
@@ -38,7 +38,9 @@ class Timing:
         return self.hidden_dn / max(self.seconds)
 
 
-def common_errors(back: Total, incident: Total, timing: Mapping[str, Timing], exposures: Exposures) -> list[float]:
+def common_errors(
+    back: TotalReflectance, incident: TotalReflectance, timing: Mapping[str, Timing], exposures: Exposures
+) -> list[float]:
     """Independent relative errors of what the beam carries, as it is compared with the sample: of curve and total."""
     sample, reference = (
         exposure_shares(total.light_by_count, timing[kind].labels_s, timing[kind].seconds) if kind in timing else {}

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from bssrdf.render.picture import write_pictures as write_pictures
     from bssrdf.render.plugins import TERMS as TERMS
     from bssrdf.render.plugins import Model as Model
-    from bssrdf.render.plugins import Options as Options
+    from bssrdf.render.plugins import RenderOptions as RenderOptions
     from bssrdf.render.variant import ADVICE as ADVICE
     from bssrdf.render.variant import MISSING as MISSING
     from bssrdf.render.variant import find_backend as find_backend

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from bssrdf.render.picture import Picture, Pixels, Progress, exposure, render, shown, write_pictures
-from bssrdf.render.plugins import Model, Options
+from bssrdf.render.plugins import Model, RenderOptions
 from bssrdf.render.scenes.record import Scene
 from bssrdf.session.atomic import atomic_write
 
@@ -43,7 +43,7 @@ class Score:
 
 def compare_models(
     scene: Scene | Path,
-    options: Options,
+    options: RenderOptions,
     models: tuple[Model, ...],
     *,
     samples: int,

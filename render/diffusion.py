@@ -8,9 +8,9 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
-from bssrdf.render.lobes import Bounce, Light, Vertex
+from bssrdf.render.lobes import Bounce, LobeSample, Vertex
 from bssrdf.render.medium import Media, Optics
-from bssrdf.render.probes import Body, channel_shares, entry_density, find_entry, rd_between
+from bssrdf.render.probes import LitPoint, channel_shares, entry_density, find_entry, rd_between
 from bssrdf.render.sampling import Law
 from bssrdf.render.spots import Spots
 
@@ -24,7 +24,7 @@ class LocalDiffusion:
         self._entry = _Lambertian(media, vertex.normal, vertex.optics)
         self._weight = vertex.optics.dipole().total()
 
-    def light(self, ds: Any) -> Light:
+    def light(self, ds: Any) -> LobeSample:
         return self._entry.light(ds, self._weight, self.ref)
 
     def bounce(self, sampler: Any) -> Bounce:
@@ -51,7 +51,7 @@ class Diffusion:
         source, side = vertex.optics.dipole(), vertex.side
         frame = mi.Frame3f(mi.Normal3f(vertex.si.n * side))
         shares = channel_shares(vertex.throughput * source.total())
-        self._body = Body(vertex.si, frame, side, source, shares, media.widest(vertex.optics, active))
+        self._body = LitPoint(vertex.si, frame, side, source, shares, media.widest(vertex.optics, active))
         found = find_entry(scene, sampler, self._body, law, max_hits, active)
         self._asked = active
         self.active = found.found
@@ -61,7 +61,7 @@ class Diffusion:
         self._entry, profile = self._entered(found.si, found.found)
         self._weight = profile * found.weight
 
-    def light(self, ds: Any) -> Light:
+    def light(self, ds: Any) -> LobeSample:
         light = self._entry.light(ds, self._weight, self.ref)
         if self._spots.any:
             by_probe = self._density * ds.pdf
@@ -113,9 +113,9 @@ class _Lambertian:
         cos_i = dr.maximum(dr.dot(self._normal, direction), 0)
         return self._media.transmittance(self._optics, cos_i) * cos_i / math.pi
 
-    def light(self, ds: Any, weight: Any, origin: Any) -> Light:
+    def light(self, ds: Any, weight: Any, origin: Any) -> LobeSample:
         pdf = dr.maximum(dr.dot(self._normal, ds.d), 0) / math.pi
-        return Light(weight * self.received(ds.d), pdf, origin)
+        return LobeSample(weight * self.received(ds.d), pdf, origin)
 
     def bounce(self, sampler: Any, weight: Any, origin: Any, active: Any) -> Bounce:
         local = mi.warp.square_to_cosine_hemisphere(sampler.next_2d(active))

@@ -30,7 +30,7 @@ class Vertex:
 
 
 @dataclass
-class Light:
+class LobeSample:
     """What a lobe takes from one direction."""
 
     value: Any
@@ -60,7 +60,7 @@ class Lobe(Protocol):
     ref: Any
     """The point, and its geometric normal, from which light is sampled."""
 
-    def light(self, ds: Any) -> Light:
+    def light(self, ds: Any) -> LobeSample:
         """What comes from a sampled direction towards a light."""
 
     def bounce(self, sampler: Any) -> Bounce:
@@ -79,11 +79,11 @@ class Ordinary:
         self._bsdf = si.bsdf(ray)
         self._context = mi.BSDFContext()
 
-    def light(self, ds: Any) -> Light:
+    def light(self, ds: Any) -> LobeSample:
         si = self.ref
         smooth = self.active & mi.has_flag(self._bsdf.flags(), mi.BSDFFlags.Smooth)
         value, pdf = self._bsdf.eval_pdf(self._context, si, si.to_local(ds.d), smooth)
-        return Light(dr.select(smooth, value, 0), pdf, si)
+        return LobeSample(dr.select(smooth, value, 0), pdf, si)
 
     def bounce(self, sampler: Any) -> Bounce:
         si = self.ref
@@ -111,16 +111,16 @@ class Specular:
         self._slopes = mi.MicrofacetDistribution(mi.MicrofacetType.GGX, alpha, True)
         self._is_rough = vertex.optics.alpha > 0
 
-    def light(self, ds: Any) -> Light:
+    def light(self, ds: Any) -> LobeSample:
         if not self._rough:
-            return Light(mi.Spectrum(0), mi.Float(0), self.ref)
+            return LobeSample(mi.Spectrum(0), mi.Float(0), self.ref)
         toward = self._frame.to_local(ds.d)
         half = mi.Normal3f(dr.normalize(toward + self._local))
         alive = self._is_rough & (toward.z > 0)
         reflected = mi.fresnel(dr.dot(self._local, half), self._vertex.optics.eta)[0]
         value = reflected * self._slopes.eval(half) * self._slopes.G(self._local, toward, half) / (4 * self._local.z)
         pdf = self._slopes.pdf(self._local, half) / (4 * dr.maximum(dr.dot(self._local, half), 1e-6))
-        return Light(mi.Spectrum(dr.select(alive, value, 0)), dr.select(alive, pdf, 0), self.ref)
+        return LobeSample(mi.Spectrum(dr.select(alive, value, 0)), dr.select(alive, pdf, 0), self.ref)
 
     def bounce(self, sampler: Any) -> Bounce:
         eta = self._vertex.optics.eta

@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bssrdf.render.interface import TABLE_SIZE, transmittance_table
-from bssrdf.render.sampling import Dipole, dipole
+from bssrdf.render.sampling import DipoleSources, dipole
 from bssrdf.render.surface import (
     INVERSION_SIZE,
-    Surface,
+    MediumBoundary,
     coefficients,
     extinction,
     inversion_table,
@@ -42,7 +42,7 @@ class Optics:
     exit_norm: Any
     row: Any
 
-    def dipole(self) -> Dipole:
+    def dipole(self) -> DipoleSources:
         """Its two sources."""
         return dipole(self.sigma_a, self.sigma_sp, self.boundary_a)
 
@@ -59,14 +59,14 @@ class Media:
     """All translucent surfaces of a scene, by the shapes' BSDFs; the kernels read numbers, never constants."""
 
     def __init__(self, scene: Any) -> None:
-        surfaces: dict[int, Surface] = {}
+        surfaces: dict[int, MediumBoundary] = {}
         self.shapes: list[Any] = []
         self.others = False
         """Has the scene surfaces of another kind?"""
         for shape in scene.shapes():
             bsdf = shape.bsdf()
             surface = getattr(bsdf, "surface", None)
-            if isinstance(surface, Surface):
+            if isinstance(surface, MediumBoundary):
                 surfaces[_registry_id(bsdf)] = surface
                 self.shapes.append(shape)
             else:
@@ -120,7 +120,7 @@ class Media:
         eta, g, alpha, boundary, norm = numbers[:n]
         return Optics(sigma_a, sigma_sp, eta, g, alpha, boundary, norm, row)
 
-    def widest(self, optics: Optics, active: Any) -> Dipole | None:
+    def widest(self, optics: Optics, active: Any) -> DipoleSources | None:
         """The dipole of the places of a surface where light spreads farthest; None if it is the same everywhere."""
         if not self.textured:
             return None
@@ -150,7 +150,7 @@ class Media:
                 normal = dr.select(here, _tilted(gradient, si), normal)
         return normal
 
-    def _look_up(self, surface: Surface, i: int, si: Any, active: Any) -> tuple[Any, Any]:
+    def _look_up(self, surface: MediumBoundary, i: int, si: Any, active: Any) -> tuple[Any, Any]:
         first, second = (_value(surface.pair[name], si, active) for name in surface.pair)
         if "sigma_a" in surface.pair:
             return first * surface.scale, second * surface.scale
@@ -169,7 +169,7 @@ def _interpolated(table: Any, size: int, row: Any, x: Any) -> Any:
 
 
 @scoped_x64
-def _numbers(surface: Surface, norm: float) -> Floats:
+def _numbers(surface: MediumBoundary, norm: float) -> Floats:
     scalars = [surface.eta, surface.g, surface.alpha, float(boundary_a(surface.eta)), norm]
     n = dr.size_v(mi.Spectrum)
     colours = np.ones((2, n)) if surface.textured else coefficients(surface)
@@ -177,7 +177,7 @@ def _numbers(surface: Surface, norm: float) -> Floats:
 
 
 @scoped_x64
-def _mean_transmittance(surface: Surface, table: Floats) -> float:
+def _mean_transmittance(surface: MediumBoundary, table: Floats) -> float:
     """C = 2∫ T μ dμ of the boundary."""
     if surface.alpha == 0:
         return float(exit_norm(surface.eta))

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from bssrdf.errors import InputError
 from bssrdf.render.mitsuba_errors import cause
-from bssrdf.render.plugins import Options, integrator, scene_dict
+from bssrdf.render.plugins import RenderOptions, integrator, scene_dict
 from bssrdf.render.scenes.record import Scene
 from bssrdf.render.variant import use_variant
 from bssrdf.session.atomic import atomic_write
@@ -48,7 +48,7 @@ class Stage(NamedTuple):
     integrator: Any
 
 
-def load_stage(scene: Scene | Path, options: Options, colour: Literal["rgb", "mono"] = "rgb") -> Stage:
+def load_stage(scene: Scene | Path, options: RenderOptions, colour: Literal["rgb", "mono"] = "rgb") -> Stage:
     """One of our scenes, or a Mitsuba XML file; InputError where Mitsuba is missing, refuses it, or it has no light."""
     use_variant(colour)
     import mitsuba as mi
@@ -68,7 +68,7 @@ def load_stage(scene: Scene | Path, options: Options, colour: Literal["rgb", "mo
 
 
 def render(
-    scene: Scene | Path, options: Options, *, samples: int, seed: int = 0, progress: Progress | None = None
+    scene: Scene | Path, options: RenderOptions, *, samples: int, seed: int = 0, progress: Progress | None = None
 ) -> Picture:
     """Render the scene with `samples` a pixel, in at least two passes."""
     stage = load_stage(scene, options)

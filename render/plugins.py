@@ -12,7 +12,7 @@ import numpy as np
 
 from bssrdf.render.material import RenderMaterial
 from bssrdf.render.scenes.place import looking
-from bssrdf.render.scenes.record import Body, Bump, Camera, Scene
+from bssrdf.render.scenes.record import Body, Bump, Scene, Viewpoint
 from bssrdf.render.surface_nets import TriangleMesh
 
 Model = Literal["brdf", "bssrdf", "mc"]
@@ -25,7 +25,7 @@ SURFACE_DEPTH = 6
 
 
 @dataclass(frozen=True)
-class Options:
+class RenderOptions:
     """How to render."""
 
     model: Model = "bssrdf"
@@ -35,14 +35,14 @@ class Options:
     mc_depth: int = MC_DEPTH
 
 
-def scene_dict(scene: Scene, options: Options) -> dict[str, Any]:
+def scene_dict(scene: Scene, options: RenderOptions) -> dict[str, Any]:
     """What `mitsuba.load_dict` takes; bodies, lights and camera are named as in the scene."""
     bodies = {name: _body(body, options) for name, body in scene.bodies.items()}
     things = {name: _plain(thing) for name, thing in [*scene.furniture.items(), *scene.lights.items()]}
     return {"type": "scene", "integrator": integrator(options), "sensor": _sensor(scene.camera), **bodies, **things}
 
 
-def integrator(options: Options) -> dict[str, Any]:
+def integrator(options: RenderOptions) -> dict[str, Any]:
     """Monte Carlo goes without Russian roulette: at high albedo it costs 570 times the variance."""
     if options.model == "mc":
         depth = options.mc_depth
@@ -68,7 +68,7 @@ def medium(material: RenderMaterial) -> dict[str, Any]:
     }
 
 
-def _body(body: Body, options: Options) -> Any:
+def _body(body: Body, options: RenderOptions) -> Any:
     if options.model != "mc":
         return _shape(body.shape, {"bsdf": _bssrdf(body)})
     ior = {"int_ior": body.material.eta, "ext_ior": 1.0}
@@ -124,7 +124,7 @@ def _mesh(mesh: TriangleMesh, parts: dict[str, Any]) -> Any:
     return built
 
 
-def _sensor(camera: Camera) -> dict[str, Any]:
+def _sensor(camera: Viewpoint) -> dict[str, Any]:
     width, height = camera.pixels
     film = {"type": "hdrfilm", "width": width, "height": height, "rfilter": {"type": "box"}}
     where: dict[str, Any]

@@ -13,7 +13,7 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
-from bssrdf.render.sampling import Dipole, Law, radius_density, rd, rd_flat, reach, sample_radius
+from bssrdf.render.sampling import DipoleSources, Law, radius_density, rd, rd_flat, reach, sample_radius
 
 AXIS_SHARES = (0.8, 0.1, 0.1)
 """Of the probes along the normal and along the two tangents."""
@@ -24,7 +24,7 @@ _STEP = 4e-6
 
 
 @dataclass
-class Body:
+class LitPoint:
     """A lit point and the body about it."""
 
     si: Any
@@ -32,13 +32,13 @@ class Body:
     """Of the geometric normal, outward."""
     side: Any
     """+1 where the shape's own normals point outward, −1 elsewhere."""
-    source: Dipole
+    source: DipoleSources
     channel_shares: Any
     """Chance of each channel to choose the radius; they add up to 1."""
-    widest: Dipole | None = None
+    widest: DipoleSources | None = None
     """Draws half of the radii where the coefficients vary: light may come from where they spread it farther."""
 
-    def sources(self) -> list[Dipole]:
+    def sources(self) -> list[DipoleSources]:
         """The dipoles that draw radii, each as often."""
         return [self.source] if self.widest is None else [self.source, self.widest]
 
@@ -49,7 +49,7 @@ class Body:
 
 
 @dataclass
-class Entry:
+class ProbeHit:
     """A point x_i where light may have entered."""
 
     si: Any
@@ -80,7 +80,7 @@ def size_of(p: Any) -> Any:
     return 1 + dr.max(dr.abs(p))
 
 
-def entry_density(body: Body, offset: Any, normal: Any, law: Law) -> Any:
+def entry_density(body: LitPoint, offset: Any, normal: Any, law: Law) -> Any:
     """Density over the surface at `offset` from the lit point of all probes' hits together."""
 
     def density(r2: Any) -> Any:
@@ -100,7 +100,7 @@ def _over_axes(frame: Any, offset: Any, normal: Any, density: Callable[[Any], An
     )
 
 
-def rd_between(source: Dipole, offset: Any, normal: Any) -> Any:
+def rd_between(source: DipoleSources, offset: Any, normal: Any) -> Any:
     """R_d for light that enters at `offset` from where it leaves, on a surface of any form.
 
     The paper's rule: the real source stays 1/σt′ straight below the entry, and nearer than that it is never seen. The
@@ -110,14 +110,14 @@ def rd_between(source: Dipole, offset: Any, normal: Any) -> Any:
     return rd(source, dr.maximum(r2 - 2 * source.z_r * rise, 0) + dr.square(source.z_r), r2 + dr.square(source.z_v))
 
 
-def _worth(frame: Any, picked: Dipole, offset: Any, normal: Any) -> Any:
+def _worth(frame: Any, picked: DipoleSources, offset: Any, normal: Any) -> Any:
     """What a hit contributes over its density, in one channel: for the choice among several hits."""
     density = _over_axes(frame, offset, normal, lambda r2: rd_flat(picked, r2))
     return rd_between(picked, offset, normal) / dr.maximum(density, 1e-30)
 
 
 @dr.syntax
-def find_entry(scene: Any, sampler: Any, body: Body, law: Law, max_hits: int, active: Any) -> Entry:
+def find_entry(scene: Any, sampler: Any, body: LitPoint, law: Law, max_hits: int, active: Any) -> ProbeHit:
     """Probe the body once and keep one of the hits, chosen by its share of what they are worth together."""
     si = body.si
     ray, picked = _probe(sampler, body, law, active)
@@ -151,10 +151,10 @@ def find_entry(scene: Any, sampler: Any, body: Body, law: Law, max_hits: int, ac
     density = entry_density(body, entry.p - si.p, entry.n * body.side, law)
     share = dr.select(total > 0, kept / total, 1)
     weight = dr.select(chosen, 1 / dr.maximum(share * density, 1e-30), 0)
-    return Entry(entry, weight, density, chosen)
+    return ProbeHit(entry, weight, density, chosen)
 
 
-def _probe(sampler: Any, body: Body, law: Law, active: Any) -> tuple[Any, Dipole]:
+def _probe(sampler: Any, body: LitPoint, law: Law, active: Any) -> tuple[Any, DipoleSources]:
     """A line through the ball of the dipole's reach, parallel to an axis, of no length where it misses; its channel."""
     u_axis, u_channel, u_disk = sampler.next_1d(active), sampler.next_1d(active), sampler.next_2d(active)
     frame = body.frame
@@ -175,9 +175,9 @@ def _probe(sampler: Any, body: Body, law: Law, active: Any) -> tuple[Any, Dipole
     return mi.Ray3f(origin, -axis, 2 * half, body.si.time, body.si.wavelengths), picked
 
 
-def _pick(source: Dipole, shares: Any, u: Any) -> Dipole:
+def _pick(source: DipoleSources, shares: Any, u: Any) -> DipoleSources:
     """The dipole of one channel, chosen by `u`."""
-    return Dipole(
+    return DipoleSources(
         pick_channel(source.albedo_p, shares, u),
         pick_channel(source.sigma_tr, shares, u),
         pick_channel(source.z_r, shares, u),

@@ -29,7 +29,7 @@ _WIDEST_DECAY = 1e3
 
 
 @dataclass
-class Dipole:
+class DipoleSources:
     """What eq. 4 needs of a medium."""
 
     albedo_p: Value
@@ -42,13 +42,13 @@ class Dipole:
         return self.albedo_p / 2 * (dr.exp(-self.sigma_tr * self.z_r) + dr.exp(-self.sigma_tr * self.z_v))
 
 
-def dipole(sigma_a: Value, sigma_sp: Value, boundary_a: Value) -> Dipole:
+def dipole(sigma_a: Value, sigma_sp: Value, boundary_a: Value) -> DipoleSources:
     """The two sources of a medium whose boundary has A = `boundary_a`."""
     z_r = 1 / (sigma_a + sigma_sp)
-    return Dipole(sigma_sp * z_r, dr.sqrt(3 * sigma_a / z_r), z_r, z_r * (1 + 4 / 3 * boundary_a))
+    return DipoleSources(sigma_sp * z_r, dr.sqrt(3 * sigma_a / z_r), z_r, z_r * (1 + 4 / 3 * boundary_a))
 
 
-def rd(source: Dipole, d2_r: Value, d2_v: Value) -> Value:
+def rd(source: DipoleSources, d2_r: Value, d2_v: Value) -> Value:
     """R_d, eq. 4, for the squares of the distances from the real and the virtual source."""
 
     def part(z: Value, d2: Value) -> Value:
@@ -59,17 +59,17 @@ def rd(source: Dipole, d2_r: Value, d2_v: Value) -> Value:
     return source.albedo_p / (4 * math.pi) * (part(source.z_r, d2_r) + part(source.z_v, d2_v))
 
 
-def rd_flat(source: Dipole, r2: Value) -> Value:
+def rd_flat(source: DipoleSources, r2: Value) -> Value:
     """R_d(r) on a plane, for r²."""
     return rd(source, r2 + dr.square(source.z_r), r2 + dr.square(source.z_v))
 
 
-def sample_radius(source: Dipole, u: Value, law: Law) -> Value:
+def sample_radius(source: DipoleSources, u: Value, law: Law) -> Value:
     """A radius on a plane for a uniform number `u`, one channel; its density over the area is `radius_density`."""
     return _sample_exponential(source, u) if law == "exponential" else _sample_exact(source, u)
 
 
-def radius_density(source: Dipole, r2: Value, law: Law) -> Value:
+def radius_density(source: DipoleSources, r2: Value, law: Law) -> Value:
     """Density per area of `sample_radius`, for r²: R_d(r)/R, or the paper's σtr e^(−σtr r)/(2πr)."""
     if law == "exact":
         return rd_flat(source, r2) / dr.maximum(source.total(), 1e-30)
@@ -77,12 +77,12 @@ def radius_density(source: Dipole, r2: Value, law: Law) -> Value:
     return rate * dr.exp(-rate * r) / (2 * math.pi * dr.maximum(r, 1e-6 * source.z_r))
 
 
-def reach(source: Dipole) -> Value:
+def reach(source: DipoleSources) -> Value:
     """The radius beyond which lies at most the share TAIL of R, as far as a probe keeps its digits."""
     return dr.minimum(_radius(source.sigma_tr, source.z_v, -math.log(TAIL)), _FARTHEST * source.z_r)
 
 
-def _sample_exact(source: Dipole, u: Value) -> Value:
+def _sample_exact(source: DipoleSources, u: Value) -> Value:
     """The tail is one closed form for each source: choose the source by its share, then invert its own tail."""
     near, far = dr.exp(-source.sigma_tr * source.z_r), dr.exp(-source.sigma_tr * source.z_v)
     share = near / (near + far)
@@ -92,11 +92,11 @@ def _sample_exact(source: Dipole, u: Value) -> Value:
     return _radius(source.sigma_tr, z, -dr.log(dr.maximum(rest, _LEAST_ARGUMENT)))
 
 
-def _sample_exponential(source: Dipole, u: Value) -> Value:
+def _sample_exponential(source: DipoleSources, u: Value) -> Value:
     return -dr.log(dr.maximum(1 - u, _LEAST_ARGUMENT)) / _rate(source)
 
 
-def _rate(source: Dipole) -> Value:
+def _rate(source: DipoleSources) -> Value:
     return dr.maximum(source.sigma_tr, 1 / (_WIDEST_DECAY * source.z_r))
 
 

@@ -12,7 +12,7 @@ import drjit as dr
 import mitsuba as mi
 
 from bssrdf.render.interface import phase, refract_in, refract_out, refracted_cosine, sample_phase
-from bssrdf.render.lobes import Bounce, Light, Vertex
+from bssrdf.render.lobes import Bounce, LobeSample, Vertex
 from bssrdf.render.medium import Media, Optics
 from bssrdf.render.probes import channel_shares, pick_channel
 
@@ -39,7 +39,7 @@ class Single:
         self._media = media
         self._vertex = vertex
 
-    def light(self, ds: Any) -> Light:
+    def light(self, ds: Any) -> LobeSample:
         """Straight on to the light; the way inside counts as long as it would be if the ray were refracted."""
         optics = self._vertex.optics
         si, normal, there, alive = self._surface(ds.d, ds.dist * (1 - 1e-4))
@@ -49,7 +49,7 @@ class Single:
         s_i = si.t * cos_i / dr.maximum(inside, 1e-6)
         pdf = self._density(refract_in(ds.d, normal, optics.eta), cos_i, inside)
         value = self._weight * dr.exp(-there.sigma_t() * s_i) * self._media.transmittance(there, cos_i) * pdf
-        return Light(dr.select(alive, value, 0), pdf, si)
+        return LobeSample(dr.select(alive, value, 0), pdf, si)
 
     def bounce(self, sampler: Any) -> Bounce:
         """A direction from the phase function, out of the body with exact refraction."""
@@ -92,9 +92,9 @@ class LocalSingle:
         self._paper = paper
         self._inward = -refract_in(vertex.outgoing, vertex.normal, vertex.optics.eta)
 
-    def light(self, ds: Any) -> Light:
+    def light(self, ds: Any) -> LobeSample:
         cos_i = dr.maximum(dr.dot(self._vertex.normal, ds.d), 0)
-        return Light(self._reflectance(ds.d) * cos_i, cos_i / math.pi, self.ref)
+        return LobeSample(self._reflectance(ds.d) * cos_i, cos_i / math.pi, self.ref)
 
     def bounce(self, sampler: Any) -> Bounce:
         local = mi.warp.square_to_cosine_hemisphere(sampler.next_2d(self.active))

@@ -15,7 +15,7 @@ _GRID = 33
 
 
 @dataclass
-class Shot:
+class SpotRay:
     """A ray of a spot light."""
 
     ray: Any
@@ -51,7 +51,7 @@ class Spots:
         known = active & (light_id < dr.width(self._density))
         return dr.gather(mi.Float, self._density, light_id, known)
 
-    def shoot(self, time: Any, sampler: Any, active: Any) -> Shot:
+    def shoot(self, time: Any, sampler: Any, active: Any) -> SpotRay:
         """A ray of one of the spots."""
         n = dr.width(self._chosen)
         which = dr.minimum(mi.UInt32(sampler.next_1d(active) * n), n - 1)
@@ -59,7 +59,7 @@ class Spots:
         light = dr.gather(mi.EmitterPtr, self._lights, index, active)
         ray, weight = light.sample_ray(time, 0.5, sampler.next_2d(active), sampler.next_2d(active), active)
         density = self.density(light, active)
-        return Shot(ray, weight * density * n, density, self._scene.pdf_emitter(index, active))
+        return SpotRay(ray, weight * density * n, density, self._scene.pdf_emitter(index, active))
 
 
 def _cone_density(light: Any) -> float:

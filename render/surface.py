@@ -35,7 +35,7 @@ Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Surface:
+class MediumBoundary:
     """What one `bssrdf_medium` says: numbers, and the two quantities of a pair by name, as colours or textures."""
 
     eta: float
@@ -100,7 +100,7 @@ def register_medium(variant: str) -> None:
     mi.register_bsdf(PLUGIN, BssrdfMedium)
 
 
-def read_surface(properties: Any) -> Surface:
+def read_surface(properties: Any) -> MediumBoundary:
     """The plugin's properties, checked. Raises InputError, one line, for what is missing or out of range."""
     numbers = {name: float(properties.get(name, default)) for name, default in NUMBERS.items()}
     _require("eta" in properties, "eta is missing", "give the index inside over outside, as 1.3")
@@ -118,7 +118,7 @@ def read_surface(properties: Any) -> Surface:
     pair = {name: _colour_or_texture(properties, name) for name in given[0]}
     for name, value in pair.items():
         _require(_is_texture(value) or _is_amount(value), f"{name} = {value}", "give finite values of at least 0")
-    surface = Surface(
+    surface = MediumBoundary(
         eta,
         numbers["g"],
         numbers["alpha"],
@@ -133,7 +133,7 @@ def read_surface(properties: Any) -> Surface:
 
 
 @scoped_x64
-def coefficients(surface: Surface) -> Floats:
+def coefficients(surface: MediumBoundary) -> Floats:
     """sigma_a and sigma_sp of an untextured surface in 1/scene unit, shape (2, channels)."""
     first, second = surface.pair.values()
     if "sigma_a" in surface.pair:
@@ -142,18 +142,18 @@ def coefficients(surface: Surface) -> Floats:
     return np.stack([ratio, 1 - ratio]) * surface.scale / np.maximum(second, 1e-20)
 
 
-def extinction(surface: Surface) -> Floats:
+def extinction(surface: MediumBoundary) -> Floats:
     sigma_a, sigma_sp = coefficients(surface)
     return sigma_a + sigma_sp / (1 - surface.g)
 
 
-def total_reflectance(surface: Surface) -> Floats:
+def total_reflectance(surface: MediumBoundary) -> Floats:
     """R of the mean coefficients, shape (channels,)."""
     sigma_a, sigma_sp = mean_coefficients(surface)
     return _total(sigma_a / (sigma_a + sigma_sp), surface.eta)
 
 
-def mean_coefficients(surface: Surface) -> Floats:
+def mean_coefficients(surface: MediumBoundary) -> Floats:
     """sigma_a and sigma_sp, or those of the textures' means, shape (2, channels)."""
     n = dr.size_v(mi.Spectrum)
     means = {
@@ -163,7 +163,7 @@ def mean_coefficients(surface: Surface) -> Floats:
     return coefficients(replace(surface, pair=means))
 
 
-def widest_coefficients(surface: Surface) -> Floats:
+def widest_coefficients(surface: MediumBoundary) -> Floats:
     """Coefficients, shape (2, channels), under which light spreads at least as far as anywhere on the surface."""
     return coefficients(replace(surface, pair={name: _widest(name, value) for name, value in surface.pair.items()}))
 

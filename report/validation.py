@@ -30,7 +30,7 @@ _DEGREES = {"mc": 3, "dipole": 10}
 COLOURS = {"R": "tab:red", "G": "tab:green", "B": "tab:blue"}
 
 
-class Measured(NamedTuple):
+class RingData(NamedTuple):
     """The slice as R_d [1/mm²] of a narrow beam over all directions of exit, per entering flux."""
 
     r_lo_mm: np.ndarray
@@ -50,7 +50,7 @@ class Check:
     """One channel: the simulation of its fitted coefficients, beside the data over the fit's window."""
 
     channel: str
-    measured: Measured
+    measured: RingData
     r_mm: np.ndarray
     """Centres of the annuli that are simulated."""
     simulated: np.ndarray
@@ -103,16 +103,16 @@ def _model_of(fit: Fit, channel: ChannelFit) -> ForwardModel:
     return DipoleModel(jnp.asarray(fit.eta))
 
 
-def _as_modelled(channel: ChannelFit, piece: Slice, name: str) -> Measured:
+def _as_modelled(channel: ChannelFit, piece: Slice, name: str) -> RingData:
     """The measured values, less what spot and camera angle do by the fit's own coefficients."""
     data = bare(piece, name, channel.sigma_a_per_mm, channel.sigma_sp_per_mm)
     clear = ~(data.rd_per_mm2 < _CLEAR_SD * data.sd_per_mm2)
-    return Measured(data.r_lo_mm, data.r_hi_mm, data.rd_per_mm2, clear)
+    return RingData(data.r_lo_mm, data.r_hi_mm, data.rd_per_mm2, clear)
 
 
 @scoped_x64
 def _over_rings(
-    model: ForwardModel, medium: Medium, edges_mm: np.ndarray, rd: np.ndarray, rd_se: np.ndarray, measured: Measured
+    model: ForwardModel, medium: Medium, edges_mm: np.ndarray, rd: np.ndarray, rd_se: np.ndarray, measured: RingData
 ) -> np.ndarray:
     """The simulated annuli as means over the measured rings.
 
@@ -137,7 +137,7 @@ def _reach(model: ForwardModel, medium: Medium, edges_mm: np.ndarray) -> int:
     return len(edges_mm) - 1 if model.name == "dipole" else int(np.searchsorted(farthest, model.window_mfp[1])) - 1
 
 
-def _departure(measured: Measured, window_mm: tuple[float, float], expected: np.ndarray) -> float:
+def _departure(measured: RingData, window_mm: tuple[float, float], expected: np.ndarray) -> float:
     lo, hi = window_mm
     inside = (measured.r_mm >= lo) & (measured.r_mm <= hi) & (measured.rd > 0) & measured.clear & (expected > 0)
     return float(np.median(measured.rd[inside] / expected[inside] - 1)) if inside.any() else math.nan

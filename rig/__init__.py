@@ -18,12 +18,12 @@ if TYPE_CHECKING:
     from bssrdf.rig.sim.media import SampleMedium as SampleMedium
     from bssrdf.rig.sim.media import published_sample as published_sample
     from bssrdf.rig.sim.media import white_tile as white_tile
-    from bssrdf.rig.sim.picture import View as View
+    from bssrdf.rig.sim.picture import PictureGeometry as PictureGeometry
     from bssrdf.rig.sim.picture import picture as picture
     from bssrdf.rig.sim.raw_files import dng_bytes as dng_bytes
     from bssrdf.rig.sim.scene import BRACKET_S as BRACKET_S
-    from bssrdf.rig.sim.scene import Scene as Scene
-    from bssrdf.rig.sim.sensor import Sensor as Sensor
+    from bssrdf.rig.sim.scene import BenchScene as BenchScene
+    from bssrdf.rig.sim.sensor import SimSensor as SimSensor
     from bssrdf.rig.sim.sensor import expose as expose
     from bssrdf.rig.sim.sensor import mosaic as mosaic
 else:

@@ -13,11 +13,11 @@ from typing import Literal, NamedTuple
 
 from bssrdf.errors import DeviceError, UsageError
 from bssrdf.rig.devices import Devices, devices_of, ports_of
-from bssrdf.rig.frame_check import Seen, check, drift
+from bssrdf.rig.frame_check import SeenFrame, check, drift
 from bssrdf.rig.interrupts import Interrupts, interrupts
 from bssrdf.rig.locks import lock_ports, lock_session
 from bssrdf.rig.metering import metered
-from bssrdf.rig.plan_toml import Plan, Subject, read_plan
+from bssrdf.rig.plan_toml import CapturePlan, Subject, read_plan
 from bssrdf.rig.ports import BadShot
 from bssrdf.rig.record import Record, begin, frames_there, resumed, write_record
 from bssrdf.rig.rig_toml import Rig, read_rig
@@ -129,14 +129,14 @@ class _Run:
     """One capture."""
 
     def __init__(
-        self, plan: Plan, rig: Rig, devices: Devices, session: Path, signals: Interrupts, report: Report
+        self, plan: CapturePlan, rig: Rig, devices: Devices, session: Path, signals: Interrupts, report: Report
     ) -> None:
         self._plan, self._rig, self._session = plan, rig, session
         self._devices, self._signals, self._report = devices, signals, report
         self._white = rig.session_tables["camera"].white
         self._laid: Subject | None = None
-        self._first: dict[Subject, Seen] = {}
-        self._before: dict[Subject, Seen] = {}
+        self._first: dict[Subject, SeenFrame] = {}
+        self._before: dict[Subject, SeenFrame] = {}
         self._drift: dict[str, float] = {}
         self._kept: list[Frame] = []
         self._watched = 0.0
@@ -169,7 +169,7 @@ class _Run:
         self._lay(subject)
         part = self._session / "metering"
 
-        def shot(exposure_s: float) -> Seen:
+        def shot(exposure_s: float) -> SeenFrame:
             file = self._expose(Step("metering", subject, exposure_s), part)
             try:
                 seen, wrong = check(file, Step("metering", subject, exposure_s), None, self._white)
@@ -210,7 +210,7 @@ class _Run:
         lit = [[step for step in done if step.lit and step.subject == subject] for subject in self._plan.kinds]
         return {step for steps in lit for step in (*steps[:1], *steps[-1:])}
 
-    def _take(self, step: Step, event: Event) -> Seen:
+    def _take(self, step: Step, event: Event) -> SeenFrame:
         """One frame that passes its check, on disk and in the journal."""
         self._lay(step.subject)
         wrong = ""
@@ -232,7 +232,7 @@ class _Run:
             f"{_TRIES} times, at last because {wrong}; put it right and go on with --resume"
         )
 
-    def _longer(self, step: Step) -> Seen | None:
+    def _longer(self, step: Step) -> SeenFrame | None:
         """The last frame of the subject, or its first one where that was the longer: short ones are too noisy."""
         before = self._before.get(step.subject)
         return before if before is None or before.exposure_s >= step.exposure_s else self._first[step.subject]
@@ -295,7 +295,7 @@ class _Run:
             self._keep_alive()
             left -= part
 
-    def _line(self, step: Step, file: Path, seen: Seen | None) -> Frame:
+    def _line(self, step: Step, file: Path, seen: SeenFrame | None) -> Frame:
         """The frame's line of frames.csv, with what its file says of itself."""
         name = f"frames/{step.name}{file.suffix}"
         exposure_s, rel_sd = (seen.exposure_s, seen.exposure_rel_sd) if seen is not None else (step.exposure_s, None)
@@ -310,7 +310,7 @@ class _Run:
             return f"it has ISO {frame.card.iso:g}, but the camera is set to {iso}: is its ISO automatic?"
         return next((f"it {unlike.fact}" for unlike in differences([*self._kept, frame])), "")
 
-    def _taken_before(self, frame: Frame, seen: Seen | None) -> str:
+    def _taken_before(self, frame: Frame, seen: SeenFrame | None) -> str:
         """The frame of another step that this one is a copy of; darks that are clipped to zero may be alike."""
         if seen is None or not seen.is_lit:
             return ""
@@ -328,13 +328,13 @@ class _Run:
         append_frame(self._session, frame)
         self._kept.append(frame)
 
-    def _seen(self, file: Path, step: Step) -> Seen:
+    def _seen(self, file: Path, step: Step) -> SeenFrame:
         seen, wrong = check(file, step, None, self._white)
         if seen is None:
             raise DeviceError(f"{file}: {wrong}; start a new session")
         return seen
 
-    def _remember(self, step: Step, seen: Seen, event: Event) -> None:
+    def _remember(self, step: Step, seen: SeenFrame, event: Event) -> None:
         if not step.lit:
             return
         first = self._first.setdefault(step.subject, seen)

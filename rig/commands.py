@@ -13,7 +13,7 @@ from bssrdf.rig.devices import devices_of, ports_of
 from bssrdf.rig.drivers import PARTS, names
 from bssrdf.rig.find import described
 from bssrdf.rig.locks import check_ports, lock_ports
-from bssrdf.rig.plan_toml import Plan, read_plan
+from bssrdf.rig.plan_toml import CapturePlan, read_plan
 from bssrdf.rig.pulse_test import pulse_test
 from bssrdf.rig.rig_toml import Rig, read_rig
 from bssrdf.rig.steps import Step, snapped, steps_of
@@ -126,9 +126,9 @@ def _bench(plan: Path, rig: Path | None, simulate: bool, truth: Path | None = No
         raise UsageError(f"--simulate brings its own bench; leave out --rig {rig}")
     from bssrdf.rig.sim.launch import simulated_bench
     from bssrdf.rig.sim.media import published_sample, white_tile
-    from bssrdf.rig.sim.scene import Scene
+    from bssrdf.rig.sim.scene import BenchScene
 
-    scene = Scene(published_sample(read_plan(plan).material.name), white_tile())
+    scene = BenchScene(published_sample(read_plan(plan).material.name), white_tile())
     with simulated_bench(scene) as bench:
         if truth is not None:
             truth.parent.mkdir(parents=True, exist_ok=True)
@@ -136,7 +136,7 @@ def _bench(plan: Path, rig: Path | None, simulate: bool, truth: Path | None = No
         yield bench.rig_file
 
 
-def _outlook(plan: Plan, rig: Rig, session: Path) -> str:
+def _outlook(plan: CapturePlan, rig: Rig, session: Path) -> str:
     devices = devices_of(rig)
     check_ports(ports_of(rig))
     try:

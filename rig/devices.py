@@ -8,7 +8,7 @@ from bssrdf.errors import DeviceError
 from bssrdf.rig.drivers import Bench, find
 from bssrdf.rig.interrupts import Interrupts
 from bssrdf.rig.operators import ConsoleOperator, Operator, SimulatedOperator
-from bssrdf.rig.ports import Beam, BenchClock, Camera, Clock, Identity, Shutter
+from bssrdf.rig.ports import BeamPort, BenchClock, CameraPort, Clock, Identity, ShutterPort
 from bssrdf.rig.rig_toml import Rig
 
 
@@ -16,9 +16,9 @@ from bssrdf.rig.rig_toml import Rig
 class Devices:
     """A bench, ready to be connected."""
 
-    shutter: Shutter
-    beam: Beam
-    camera: Camera
+    shutter: ShutterPort
+    beam: BeamPort
+    camera: CameraPort
     clock: Clock
     operator: Operator
     by_hand: bool
@@ -29,7 +29,11 @@ class Devices:
     def connect(self) -> dict[str, Identity]:
         """Connect each device; DeviceError with what every one of them has to say, if any fails."""
         found, failures = {}, []
-        parts: dict[str, Shutter | Beam | Camera] = {"shutter": self.shutter, "beam": self.beam, "camera": self.camera}
+        parts: dict[str, ShutterPort | BeamPort | CameraPort] = {
+            "shutter": self.shutter,
+            "beam": self.beam,
+            "camera": self.camera,
+        }
         for part, device in parts.items():
             try:
                 found[part] = device.connect()

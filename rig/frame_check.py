@@ -35,7 +35,7 @@ _ROUNDING_SD = 0.3
 """Of a number that was rounded, in steps."""
 
 
-class Seen(NamedTuple):
+class SeenFrame(NamedTuple):
     """What is kept of a frame to compare the next ones with."""
 
     exposure_s: float
@@ -63,7 +63,7 @@ class Seen(NamedTuple):
         return self.spot > _SIGMAS * self.noise
 
 
-def look(file: Path, white: float | None = None) -> tuple[RawFrame, Seen]:
+def look(file: Path, white: float | None = None) -> tuple[RawFrame, SeenFrame]:
     """Read a frame and boil it down; InputError where it cannot be read."""
     frame = read_frame_file(file)
     step = step_dn(frame.data)
@@ -75,7 +75,7 @@ def look(file: Path, white: float | None = None) -> tuple[RawFrame, Seen]:
     black = _lightless(frame.data, noise) if frame.black is None else float(np.mean(frame.black))
     stated = frame.white or white or _largest(frame.data.dtype)
     levels = _saturation(cells, stated, black, step, above=black + _RANGE * noise)
-    seen = Seen(
+    seen = SeenFrame(
         exposure_s=frame.exposure_s or 0.0,
         light=light - black,
         clipped=np.asarray((cells >= _SATURATED * levels[:, None]).any((1, 3, 4))),
@@ -116,7 +116,7 @@ def _saturation(cells: NDArray[Any], stated: float, black: float, step: float, *
     return levels
 
 
-def fault_of(step: Step, frame: RawFrame, seen: Seen, before: Seen | None) -> str:
+def fault_of(step: Step, frame: RawFrame, seen: SeenFrame, before: SeenFrame | None) -> str:
     """What is wrong with a frame, in a few words; empty where nothing is. `before`: a longer frame of the subject."""
     said = frame.exposure_s
     if said is not None and not _is_labelled(said, step.exposure_s):
@@ -134,7 +134,7 @@ def _is_labelled(said_s: float, label_s: float) -> bool:
     return abs(said_s / label_s - 1) <= LABEL_TOLERANCE or abs(said_s - label_s) < _LABEL_STEP_S
 
 
-def _out_of_step(seen: Seen, before: Seen) -> str:
+def _out_of_step(seen: SeenFrame, before: SeenFrame) -> str:
     """Compare with a frame of the same subject where neither is saturated."""
     ratio = seen.exposure_s / before.exposure_s
     if seen.light.shape != before.light.shape:
@@ -149,19 +149,19 @@ def _out_of_step(seen: Seen, before: Seen) -> str:
     return ""
 
 
-def _too_dark(seen: Seen, before: Seen, ratio: float) -> str:
+def _too_dark(seen: SeenFrame, before: SeenFrame, ratio: float) -> str:
     """Nothing shows: fair enough, unless the last frame was so bright that something had to."""
     return "it is all dark: shutter or beam" if before.spot * ratio > 2 * _SIGMAS * seen.noise else ""
 
 
-def drift(first: Seen, again: Seen) -> float:
+def drift(first: SeenFrame, again: SeenFrame) -> float:
     """Relative change of the light between two frames of one exposure."""
     bright = ~first.clipped & ~again.clipped & (first.light > _SIGMAS * first.noise)
     total = first.light[bright].sum()
     return float(again.light[bright].sum() / total - 1) if total > 0 else 0.0
 
 
-def check(file: Path, step: Step, before: Seen | None, white: float | None) -> tuple[Seen | None, str]:
+def check(file: Path, step: Step, before: SeenFrame | None, white: float | None) -> tuple[SeenFrame | None, str]:
     """What the frame shows, and what is wrong with it."""
     try:
         frame, seen = look(file, white)

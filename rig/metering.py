@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from bssrdf.errors import InputError
-from bssrdf.rig.frame_check import Seen
+from bssrdf.rig.frame_check import SeenFrame
 
 _NOISES = 3.0
 """The longest frame shows the border of the picture this many noises above its darks …"""
@@ -15,7 +15,7 @@ _RIM = 0.1
 """… where the border is this share of the frame on each side."""
 
 
-def metered(shot: Callable[[float], Seen], offered_s: Sequence[float]) -> tuple[float, ...]:
+def metered(shot: Callable[[float], SeenFrame], offered_s: Sequence[float]) -> tuple[float, ...]:
     """The camera's times from the longest without a saturated place to one that shows the border, descending.
 
     The bracket has the time below the longest unsaturated one as well, if there is one.
@@ -36,7 +36,7 @@ def metered(shot: Callable[[float], Seen], offered_s: Sequence[float]) -> tuple[
     return tuple(reversed(times[max(low - 1, 0) : last + 1]))
 
 
-def _border_shows(seen: Seen) -> bool:
+def _border_shows(seen: SeenFrame) -> bool:
     height, width = seen.light.shape
     rim = np.ones((height, width), bool)
     rim[int(_RIM * height) : -int(_RIM * height) or None, int(_RIM * width) : -int(_RIM * width) or None] = False

@@ -35,7 +35,7 @@ class Exposures:
 
 
 @dataclass(frozen=True)
-class Plan:
+class CapturePlan:
     """What to capture. Exposure times are as asked for; the camera has its own."""
 
     material: Material
@@ -52,16 +52,16 @@ class Plan:
     drift_check: Annotated[bool, Key("take the first frames once more at the end")] = True
 
 
-def read_plan(file: Path) -> Plan:
+def read_plan(file: Path) -> CapturePlan:
     """The plan in the file; InputError names file, key and value."""
     document = parse_toml(file, read_text(file))
     check_format(file, document.pop("format", FORMAT))
-    known_keys(file, "", document, [*keys_of(Plan), "material", "exposures"])
+    known_keys(file, "", document, [*keys_of(CapturePlan), "material", "exposures"])
     tables = {name: _table(file, document, name) for name in ("material", "exposures")}
     material = records_of(file, {"material": checked_table(file, "material", tables["material"])}, ())["material"]
     exposures = _exposures(file, checked_keys(file, "[exposures] ", tables["exposures"], Exposures))
-    top = checked_keys(file, "", document, Plan)
-    return Plan(material, list_s=exposures, **top)
+    top = checked_keys(file, "", document, CapturePlan)
+    return CapturePlan(material, list_s=exposures, **top)
 
 
 def _table(file: Path, document: dict[str, Any], name: str) -> dict[str, Any]:

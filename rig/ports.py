@@ -30,7 +30,7 @@ class Identity:
     version: str
 
 
-class Shutter(Protocol):
+class ShutterPort(Protocol):
     """Stands before the focusing lens. Closing it again and again is always safe."""
 
     @property
@@ -62,7 +62,7 @@ class Shutter(Protocol):
         ...
 
 
-class Beam(Protocol):
+class BeamPort(Protocol):
     """The lamp, LED or laser."""
 
     @property
@@ -77,7 +77,7 @@ class Beam(Protocol):
     def release(self) -> None: ...
 
 
-class Camera(Protocol):
+class CameraPort(Protocol):
     """Takes one frame at a time and leaves it in a file."""
 
     @property

@@ -9,7 +9,7 @@ from typing import Any
 
 import bssrdf
 from bssrdf.errors import InputError, UsageError
-from bssrdf.rig.plan_toml import Plan, Subject, read_plan
+from bssrdf.rig.plan_toml import CapturePlan, Subject, read_plan
 from bssrdf.rig.ports import Identity
 from bssrdf.rig.rig_toml import Rig
 from bssrdf.session.atomic import atomic_write, sha256_of
@@ -34,7 +34,7 @@ class Record:
     """Relative change of the light from the first frame of each subject to the same one at the end."""
 
 
-def begin(session: Path, plan_file: Path, plan: Plan, rig: Rig, record: Record) -> None:
+def begin(session: Path, plan_file: Path, plan: CapturePlan, rig: Rig, record: Record) -> None:
     """Write all that is known before the first frame."""
     (session / "frames").mkdir(exist_ok=True)
     write_session(session, Session(session, material=plan.material, **rig.session_tables))
@@ -75,7 +75,7 @@ def read_record(session: Path) -> Record:
         raise InputError(f"{file}: is not what capture wrote ({error}); start a new session") from error
 
 
-def resumed(session: Path, plan: Plan, devices: dict[str, Identity], settings: dict[str, str]) -> Record:
+def resumed(session: Path, plan: CapturePlan, devices: dict[str, Identity], settings: dict[str, str]) -> Record:
     """The record of the session to go on with; UsageError where plan, a device or a camera setting is another now."""
     if read_plan(session / "plan.toml") != plan:
         raise UsageError(f"{session}: was begun with another plan; resume with its own plan.toml, or start anew")

@@ -22,7 +22,7 @@ _LONGEST_MS = 999_999
 _TRIES = 3
 
 
-class _Refused(DeviceError):
+class _CommandRefused(DeviceError):
     """The controller does not know the command."""
 
 
@@ -112,7 +112,7 @@ class Sc10Shutter:
         """The controller's name; it may refuse the first command, with what stood in its buffer before it."""
         try:
             return self._retried("id?")
-        except _Refused:
+        except _CommandRefused:
             return self._retried("id?")
 
     def _exchange(self, command: str) -> str:
@@ -129,7 +129,7 @@ class Sc10Shutter:
             raise BadReply(f"{self.name}: {sent!r} came back as {reply!r}; is it another device, or another baud rate?")
         text = b" ".join(lines).decode("ascii", "replace")
         if "CMD_" in text:
-            raise _Refused(f"{self.name}: {sent!r} was refused with {text!r}; is its firmware older than 1.0?")
+            raise _CommandRefused(f"{self.name}: {sent!r} was refused with {text!r}; is its firmware older than 1.0?")
         return text
 
     def _reply(self, line: SerialLine, sent: bytes) -> bytes:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from bssrdf.errors import InputError
-from bssrdf.rig.plan_toml import Plan, Subject
+from bssrdf.rig.plan_toml import CapturePlan, Subject
 from bssrdf.session.records import FrameKind
 
 _DARK: dict[Subject, FrameKind] = {"sample": "sample_dark", "reference": "reference_dark"}
@@ -48,7 +48,7 @@ def snapped(asked_s: Sequence[float], offered_s: Sequence[float]) -> tuple[float
     return tuple(sorted(nearest, reverse=True))
 
 
-def steps_of(plan: Plan, exposures_s: dict[Subject, tuple[float, ...]]) -> list[Step]:
+def steps_of(plan: CapturePlan, exposures_s: dict[Subject, tuple[float, ...]]) -> list[Step]:
     """Every frame in its order: longest exposures first, so that each frame tells what the next must show.
 
     With `drift_check` the reference stands before the sample, and its first frame and the sample's are taken again at
@@ -68,7 +68,7 @@ def steps_of(plan: Plan, exposures_s: dict[Subject, tuple[float, ...]]) -> list[
     ]
 
 
-def _bracket(plan: Plan, subject: Subject, exposures_s: tuple[float, ...]) -> list[tuple[FrameKind, float]]:
+def _bracket(plan: CapturePlan, subject: Subject, exposures_s: tuple[float, ...]) -> list[tuple[FrameKind, float]]:
     times = [exposure_s for exposure_s in exposures_s for _ in range(plan.repeats)]
     if plan.order == "blocks":
         return [(subject, time) for time in times] + [(_DARK[subject], time) for time in times]

@@ -19,7 +19,7 @@ from bssrdf.session.raw_frame import RawFrame, exposure_of_tags, label, positive
 from bssrdf.session.records import Card
 
 if TYPE_CHECKING:
-    from bssrdf.session.oiio_file import Image
+    from bssrdf.session.oiio_file import StoredImage
 
 
 Plane = NDArray[np.float32]
@@ -40,7 +40,7 @@ def read_parts(path: Path) -> RawFrame:
     return _frame(_picture(path, images), images[0].attributes)
 
 
-def _picture(path: Path, images: Sequence[Image]) -> Plane:
+def _picture(path: Path, images: Sequence[StoredImage]) -> Plane:
     if [image.name for image in images] == list(OUR_PARTS):
         images = images[:1]
     names = [image.channel_names for image in images]
@@ -61,7 +61,7 @@ def _picture(path: Path, images: Sequence[Image]) -> Plane:
     raise InputError(f"{path}: holds several pictures ({', '.join(found)}); save the one to be measured by itself")
 
 
-def _layers(image: Image) -> dict[str, Plane]:
+def _layers(image: StoredImage) -> dict[str, Plane]:
     """The pictures of a part by the name of their layer: its R, G and B, or the only channel that there is."""
     if len(image.channel_names) == 1:
         return {"": image.data[:, :, 0]}
@@ -121,7 +121,7 @@ def _factor(path: Path, text: bytes) -> float:
     return factor
 
 
-def _read_as_rgbe(path: Path) -> Image:
+def _read_as_rgbe(path: Path) -> StoredImage:
     """The same bytes under the name of the format that OpenImageIO knows: the code of the numbers is one."""
     from bssrdf.session.oiio_file import read_image
 

@@ -23,7 +23,7 @@ _LARGEST_FRAME = 2**33
 _MOST_IN_HALF = 2048
 
 
-class Image(NamedTuple):
+class StoredImage(NamedTuple):
     """One image of a file: values as stored (half and double as float32), shape (h, w, channels)."""
 
     data: NDArray[Any]
@@ -32,12 +32,12 @@ class Image(NamedTuple):
     attributes: dict[str, Any]
 
 
-def read_images(path: Path) -> list[Image]:
+def read_images(path: Path) -> list[StoredImage]:
     """Every image of the file; InputError where one cannot be read whole."""
     return _read_most(path, None)
 
 
-def read_image(path: Path) -> Image:
+def read_image(path: Path) -> StoredImage:
     """The first image of the file; those after it may be thumbnails."""
     return _read_most(path, 1)[0]
 
@@ -48,7 +48,7 @@ def read_subimage(path: Path, index: int) -> NDArray[Any]:
     return data[:, :, 0] if data.shape[2] == 1 else data
 
 
-def _read_most(path: Path, most: int | None, first: int = 0) -> list[Image]:
+def _read_most(path: Path, most: int | None, first: int = 0) -> list[StoredImage]:
     if not path.is_file():
         raise InputError(f"{path}: is not there; check the path")
     try:
@@ -57,12 +57,12 @@ def _read_most(path: Path, most: int | None, first: int = 0) -> list[Image]:
         raise _unreadable(path, "") from error
 
 
-def _read_open(path: Path, most: int | None, first: int) -> list[Image]:
+def _read_open(path: Path, most: int | None, first: int) -> list[StoredImage]:
     file = oiio.ImageInput.open(str(path))
     if file is None:
         raise _unreadable(path, oiio.geterror())
     try:
-        images: list[Image] = []
+        images: list[StoredImage] = []
         while len(images) != most and file.seek_subimage(first + len(images), 0):
             images.append(_read(path, file))
         if not images:
@@ -72,7 +72,7 @@ def _read_open(path: Path, most: int | None, first: int) -> list[Image]:
         file.close()
 
 
-def _read(path: Path, file: Any) -> Image:
+def _read(path: Path, file: Any) -> StoredImage:
     spec = file.spec()
     dtype = _DTYPES.get(str(spec.format))
     attributes = _attributes(spec)
@@ -86,7 +86,7 @@ def _read(path: Path, file: Any) -> Image:
     pixels = np.asarray(data).reshape(spec.height, spec.width, spec.nchannels)
     if file.format_name() == _PLACED:
         pixels = _in_display_window(path, spec, pixels)
-    return Image(pixels, tuple(spec.channelnames), attributes.get("oiio:subimagename", ""), attributes)
+    return StoredImage(pixels, tuple(spec.channelnames), attributes.get("oiio:subimagename", ""), attributes)
 
 
 def _in_display_window(path: Path, spec: Any, pixels: NDArray[Any]) -> NDArray[Any]:

@@ -16,7 +16,7 @@ from bssrdf.commands.console import run
 from bssrdf.errors import InputError
 from bssrdf.measure.bracket import bracket_of, layout_of
 from bssrdf.rig.sim.raw_files import dng_bytes
-from bssrdf.rig.sim.sensor import Sensor, expose
+from bssrdf.rig.sim.sensor import SimSensor, expose
 from bssrdf.session.constancy import check_constant, differences, with_cards
 from bssrdf.session.frames_csv import read_frames, write_frames
 from bssrdf.session.ingest import ingest_folder
@@ -110,7 +110,7 @@ def test_layouts_of_sample_and_reference_matter_only_to_a_flat() -> None:
     assert [each.what for each in differences([*two, Frame("f.dng", "flat", 1.0, card=CARD)])] == ["layout"]
 
 
-SENSOR = Sensor(height_px=40, width_px=60, hot_share=0)
+SENSOR = SimSensor(height_px=40, width_px=60, hot_share=0)
 TABLES = '[camera]\n[material]\nname = "wax"\neta = 1.4\n[geometry]\nmm_per_px = 0.1\n'
 TABLES += '[reference]\nname = "tile"\nreflectance = [0.9, 0.9, 0.9]\n'
 
@@ -155,7 +155,7 @@ def test_a_line_of_frames_csv_wins_over_the_file(tmp_path: Path) -> None:
     assert {card.width_px for card in cards} == {60}
 
 
-def raw_session(folder: Path, frames: dict[str, tuple[NDArray[np.uint16], Sensor]], **tags: Any) -> list[Frame]:
+def raw_session(folder: Path, frames: dict[str, tuple[NDArray[np.uint16], SimSensor]], **tags: Any) -> list[Frame]:
     """Frames of 0.25 s by name, `sample` and `dark`, on disk and listed with their cards."""
     for name, (dn, sensor) in frames.items():
         (folder / f"{name}.dng").write_bytes(dng_bytes(dn, sensor, 0.25))

@@ -9,7 +9,7 @@ import pytest
 
 from bssrdf.errors import InputError
 from bssrdf.transport.discrete_ordinates import decay_constant, half_space
-from bssrdf.transport.engine import Beam, MonteCarloMedium, simulate
+from bssrdf.transport.engine import IncidentBeam, MonteCarloMedium, simulate
 from bssrdf.transport.exit_radiance import N_MU, angle_weights
 from bssrdf.transport.photon import stream_states
 from bssrdf.transport.single import first_order_bin_average, first_order_total
@@ -157,13 +157,13 @@ def test_standard_errors_are_those_of_repeated_runs():
 def test_a_wide_beam_spreads_the_light_and_keeps_the_total():
     medium = MonteCarloMedium.reduced(0.1, 1.0, 0.0, 1.3)
     pencil = simulate(medium, r_edges_mm=[0, 0.5, 50], n_photons=40_000, seed=9)
-    wide = simulate(medium, Beam(radius_mm=3.0), r_edges_mm=[0, 0.5, 50], n_photons=40_000, seed=10)
+    wide = simulate(medium, IncidentBeam(radius_mm=3.0), r_edges_mm=[0, 0.5, 50], n_photons=40_000, seed=10)
     assert abs(wide.total_r()[0] - pencil.total_r()[0]) < 4 * np.hypot(wide.total_r()[1], pencil.total_r()[1])
     assert wide.rd()[0][0] < 0.3 * pencil.rd()[0][0]
 
 
 def test_a_beam_fills_its_radius():
-    beam = Beam(radius_mm=2.0)
+    beam = IncidentBeam(radius_mm=2.0)
     medium = MonteCarloMedium(0.0, 1e-6, 0.0, 1.0, 1e-3, "matched")
     tally = simulate(medium, beam, r_edges_mm=[0, 2.0], n_photons=40_000, seed=12)
     inside = tally.scores[:, 1, :, 0].sum() / len(tally.scores)
@@ -172,7 +172,7 @@ def test_a_beam_fills_its_radius():
 
 def test_tilted_light_enters_refracted():
     medium = MonteCarloMedium(0.0, 1e-6, 0.0, 1.5, 1.0, "matched")
-    tilted = simulate(medium, Beam(incidence_deg=60.0), r_edges_mm=[0, 0.6, 0.8], n_photons=64, seed=13)
+    tilted = simulate(medium, IncidentBeam(incidence_deg=60.0), r_edges_mm=[0, 0.6, 0.8], n_photons=64, seed=13)
     offset = np.tan(np.arcsin(np.sin(np.radians(60)) / 1.5))
     assert 0.6 < offset < 0.8
     assert tilted.scores[:, 1, :, 1].sum() / len(tilted.scores) == pytest.approx(1, abs=1e-3)

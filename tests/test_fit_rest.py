@@ -24,7 +24,7 @@ from bssrdf.rig.sim.media import SampleMedium
 from bssrdf.session.records import ChannelSlice, Slice
 from bssrdf.transport.arrays import NUMPY
 from bssrdf.transport.dipole import Medium, rd, total_r
-from bssrdf.transport.light import Table, coefficients
+from bssrdf.transport.light import WhiteTable, coefficients
 from bssrdf.transport.white.grid import R_ZERO, V_MAX
 
 PLAIN = Options("soft", scale_free=False, robust=False, window_mm=None, tables="shipped")
@@ -115,7 +115,7 @@ def test_jaxopt_finds_the_same_optimum_of_the_same_objective(x64: None) -> None:
 
 def test_a_table_s_model_error_is_the_spread_of_fits_to_its_noise() -> None:
     one = fitted([trial("Wholemilk R")])
-    assert isinstance(one.model, Table)
+    assert isinstance(one.model, WhiteTable)
     stated = table_error(one.model, one.data, one.found, one.judged)[0]
     rng = np.random.default_rng(0)
     rows = np.zeros(300, int)

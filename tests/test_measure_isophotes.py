@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from bssrdf.bench.sabotage import MARBLE, SABOTAGES, SKIN, Bench, judge, truth_is_held, write_session
+from bssrdf.bench.sabotage import MARBLE, SABOTAGES, SKIN, SabotagedBench, judge, truth_is_held, write_session
 from bssrdf.errors import InputError
 from bssrdf.measure.session import measure_session
 from bssrdf.session.records import Slice
@@ -20,7 +20,7 @@ from bssrdf.transport.white.store import shipped
 GEOMETRY = {"aspect_off", "view_angle_off", "anisotropic", "geometry_unchecked"}
 
 
-def measured(path: Path, bench: Bench) -> Slice:
+def measured(path: Path, bench: SabotagedBench) -> Slice:
     write_session(path, replace(bench, shape=(200, 280)))
     curve = measure_session(read_session(path)).slice
     assert curve is not None

@@ -10,7 +10,7 @@ from scipy.interpolate import make_smoothing_spline
 from bssrdf.measure.session import measure_session
 from bssrdf.rig.sim.blurred import Radiance
 from bssrdf.rig.sim.light import SeenLight
-from bssrdf.rig.sim.picture import View, picture
+from bssrdf.rig.sim.picture import PictureGeometry, picture
 from bssrdf.session.frames_csv import write_frames
 from bssrdf.session.records import Beam, Camera, Frame, Geometry, Material, Reference, Session
 from bssrdf.transport.discrete_ordinates import half_space
@@ -60,7 +60,7 @@ def write_session(path: Path, light: SeenLight, seed: int) -> Session:
     rng = np.random.default_rng(seed)
     (path / "frames").mkdir(parents=True)
     views = [
-        View(SHAPE, MM_PER_PX, VIEW_DEG, centre_px=(136 + dx, 96 + dy), spot_radius_mm=SPOT_MM)
+        PictureGeometry(SHAPE, MM_PER_PX, VIEW_DEG, centre_px=(136 + dx, 96 + dy), spot_radius_mm=SPOT_MM)
         for dx, dy in rng.uniform(-1, 1, (2, 2))
     ]
     sample = picture(light, views[0])

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from bssrdf.calib.sensor import Sensor
 from bssrdf.cli import cli
 from bssrdf.commands.console import BAD_INPUT, run
-from bssrdf.measure.hdr import NO_DATA, SATURATED, Sample, Shot, merge
+from bssrdf.measure.hdr import NO_DATA, SATURATED, DarkPaired, Shot, merge
 from bssrdf.measure.profile import Points, bin_edges, profile
 from bssrdf.session.slice_csv import read_slice
 
@@ -35,7 +35,7 @@ def brackets(draw):
 
     shots = []
     for number, t in enumerate(draw(st.permutations([*seconds, seconds[0]]))):
-        sample = Sample(frame(radiance * t), frame(0 * radiance), 1)
+        sample = DarkPaired(frame(radiance * t), frame(0 * radiance), 1)
         shots.append(Shot(f"{number}", t, lambda sample=sample: sample))
     return sensor, radiance, shots
 

@@ -8,7 +8,7 @@ import pytest
 
 from bssrdf.calib.sensor import Sensor, master_dark
 from bssrdf.errors import InputError
-from bssrdf.measure.hdr import HOT, NO_DATA, SATURATED, Sample, Shot, merge
+from bssrdf.measure.hdr import HOT, NO_DATA, SATURATED, DarkPaired, Shot, merge
 from bssrdf.session.frame_files import read_frame_file
 
 SENSOR = Sensor(black_dn=512.0, saturation_dn=65000.0, gain_e_per_dn=1.0, read_noise_e=3.0)
@@ -28,7 +28,7 @@ def shots_of(radiance, exposures_s=EXPOSURES_S, seed=0, n_darks=1):
     shots = []
     for number, exposure_s in enumerate(exposures_s):
         darks = [expose(np.zeros(radiance.shape), exposure_s, rng) for _ in range(n_darks)]
-        sample = Sample(expose(radiance, exposure_s, rng), master_dark(darks), n_darks)
+        sample = DarkPaired(expose(radiance, exposure_s, rng), master_dark(darks), n_darks)
         shots.append(Shot(f"{number:02d}", exposure_s, lambda sample=sample: sample))
     return shots
 
@@ -132,7 +132,7 @@ FLEA3_SENSOR = Sensor(black_dn=0.0, saturation_dn=250.0, gain_e_per_dn=25.0, rea
 def flea3_shots(wavelength_nm):
     def load(file, darks):
         planes = [read_frame_file(dark).data for dark in darks]
-        return Sample(read_frame_file(file).data, master_dark(planes), len(planes))
+        return DarkPaired(read_frame_file(file).data, master_dark(planes), len(planes))
 
     shots = []
     for file in sorted((FLEA3 / "frames").glob(f"*_{wavelength_nm}nm_*")):

@@ -15,8 +15,8 @@ from bssrdf.commands.console import run
 from bssrdf.rig.sim.media import published_sample, white_tile
 from bssrdf.rig.sim.picture import picture
 from bssrdf.rig.sim.raw_files import dng_bytes
-from bssrdf.rig.sim.scene import Scene
-from bssrdf.rig.sim.sensor import Sensor, expose, mosaic
+from bssrdf.rig.sim.scene import BenchScene
+from bssrdf.rig.sim.sensor import SimSensor, expose, mosaic
 
 README = Path(__file__).resolve().parents[1] / "README.md"
 EXPOSURES_S = (1 / 1000, 1 / 250, 1 / 60, 1 / 15, 1 / 4, 1.0, 4.0)
@@ -31,11 +31,11 @@ def commands() -> list[str]:
 
 
 @pytest.fixture(scope="module")
-def scene() -> Scene:
-    return Scene(published_sample("marble"), white_tile(), Sensor(height_px=300, width_px=400))
+def scene() -> BenchScene:
+    return BenchScene(published_sample("marble"), white_tile(), SimSensor(height_px=300, width_px=400))
 
 
-def film(scene: Scene, folder: Path) -> None:
+def film(scene: BenchScene, folder: Path) -> None:
     """A bracket of the marble and of the tile, and darks, with names as a camera gives them."""
     rng = np.random.default_rng(5)
     light = {}
@@ -52,7 +52,7 @@ def film(scene: Scene, folder: Path) -> None:
             (folder / name / f"IMG_{number:04}.DNG").write_bytes(dng_bytes(dn, scene.sensor, exposure_s))
 
 
-def edit(file: Path, scene: Scene) -> None:
+def edit(file: Path, scene: BenchScene) -> None:
     text = file.read_text(encoding="utf-8")
     values = {
         "name": ('"unnamed"', '"Marble"'),
@@ -67,7 +67,7 @@ def edit(file: Path, scene: Scene) -> None:
 
 
 def test_five_commands_of_the_readme_give_the_published_marble(
-    scene: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    scene: BenchScene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     film(scene, tmp_path / "photos")
     monkeypatch.chdir(tmp_path)

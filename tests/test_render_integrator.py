@@ -409,13 +409,13 @@ def test_probes_density_is_one_over_the_surface_for_each_hit(surface: str) -> No
     row, found = media.row(si, si.is_valid())
     side = dr.select(si.n.z < 0, mi.Float(-1), mi.Float(1))
     source = media.optics(si, row, found).dipole()
-    body = probes.Body(si, mi.Frame3f(mi.Vector3f(si.n * side)), side, source, mi.Spectrum(1))
+    body = probes.LitPoint(si, mi.Frame3f(mi.Vector3f(si.n * side)), side, source, mi.Spectrum(1))
     entry = probes.find_entry(scene, sampler(n, 4), body, "exact", 8, found)
     hits = np.array(dr.select(entry.found, entry.weight * entry.density, 0), np.float64)
 
     one = dr.gather(type(source), source, mi.UInt32(0))
     point = dr.gather(type(si), si, mi.UInt32(0))
-    body = probes.Body(point, mi.Frame3f(mi.Vector3f(point.n * side[0])), mi.Float(side[0]), one, mi.Spectrum(1))
+    body = probes.LitPoint(point, mi.Frame3f(mi.Vector3f(point.n * side[0])), mi.Float(side[0]), one, mi.Spectrum(1))
     tips = corners[faces]
     across = np.cross(tips[:, 1] - tips[:, 0], tips[:, 2] - tips[:, 0]) / 2
     area = np.linalg.norm(across, axis=1)

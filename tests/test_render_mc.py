@@ -10,7 +10,7 @@ import pytest
 from bssrdf.errors import BssrdfError
 from bssrdf.render.material import RenderMaterial
 from bssrdf.render.picture import load_stage, render_pass
-from bssrdf.render.plugins import Options
+from bssrdf.render.plugins import RenderOptions
 from bssrdf.render.scenes.blocks import slab
 from bssrdf.render.variant import use_variant
 from bssrdf.transport.engine import MonteCarloMedium, simulate
@@ -33,7 +33,7 @@ def runs(light: str, *, eta: float, depth: int, pixels: int, samples: int, n: in
     grey = RenderMaterial("grey", (SIGMA_A,) * 3, (SIGMA_SP,) * 3, eta)
     scene = slab(grey, light=light)
     scene = replace(scene, camera=replace(scene.camera, width_mm=12.0, pixels=(pixels, pixels)))
-    stage = load_stage(scene, Options("mc", mc_depth=depth), "mono")
+    stage = load_stage(scene, RenderOptions("mc", mc_depth=depth), "mono")
     return np.stack([render_pass(stage, samples, seed)[..., 0] for seed in range(n)]).astype(float)
 
 

@@ -32,7 +32,7 @@ def _mono() -> None:
     use_variant("mono")
 
 
-def on_device(medium: dipole.Medium) -> sampling.Dipole:
+def on_device(medium: dipole.Medium) -> sampling.DipoleSources:
     import mitsuba as mi
 
     boundary = float(boundary_a(medium.eta))

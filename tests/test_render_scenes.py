@@ -15,7 +15,7 @@ from bssrdf.render.head import head_distance, head_mesh
 from bssrdf.render.lathe import turned
 from bssrdf.render.material import HALF_ALBEDO, RenderMaterial, find_medium, medium_of_fit
 from bssrdf.render.scenes.catalogue import SCENES, build_scene
-from bssrdf.render.scenes.record import Body, Camera, Scene
+from bssrdf.render.scenes.record import Body, Scene, Viewpoint
 from bssrdf.render.surface_nets import TriangleMesh
 from bssrdf.session.records import ChannelFit, Fit
 
@@ -30,7 +30,7 @@ def figure() -> TriangleMesh:
 
 
 def ball_of(material: RenderMaterial, radius_mm: float, *, footprint_mm: float = 0.1) -> Scene:
-    camera = Camera((0, -5 * radius_mm, 0), (0, 0, 0), width_mm=256 * footprint_mm)
+    camera = Viewpoint((0, -5 * radius_mm, 0), (0, 0, 0), width_mm=256 * footprint_mm)
     return Scene("ball", {"ball": Body({"type": "sphere"}, material, radius_mm)}, {}, camera)
 
 

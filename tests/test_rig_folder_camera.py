@@ -15,9 +15,9 @@ from bssrdf.errors import DeviceError
 from bssrdf.rig.folder_camera import FolderCamera
 from bssrdf.rig.ports import BadShot, BenchClock
 from bssrdf.rig.sim.raw_files import dng_bytes
-from bssrdf.rig.sim.sensor import Sensor, expose
+from bssrdf.rig.sim.sensor import SimSensor, expose
 
-SENSOR = Sensor(height_px=80, width_px=120)
+SENSOR = SimSensor(height_px=80, width_px=120)
 FRAME = dng_bytes(expose(SENSOR, 1e3, 0.1, np.random.default_rng(0)), SENSOR, 0.1)
 
 Writer = Callable[[Path], None]

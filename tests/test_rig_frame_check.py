@@ -9,13 +9,13 @@ import pytest
 import tifffile
 
 from bssrdf.errors import InputError
-from bssrdf.rig.frame_check import Seen, check, drift
+from bssrdf.rig.frame_check import SeenFrame, check, drift
 from bssrdf.rig.metering import metered
 from bssrdf.rig.sim.raw_files import dng_bytes
-from bssrdf.rig.sim.sensor import Sensor, expose
+from bssrdf.rig.sim.sensor import SimSensor, expose
 from bssrdf.rig.steps import Step
 
-SENSOR = Sensor(height_px=80, width_px=120, hot_share=2e-3)
+SENSOR = SimSensor(height_px=80, width_px=120, hot_share=2e-3)
 Y, X = np.mgrid[:80, :120]
 SPOT = 3e5 * np.exp(-np.hypot(X - 60, Y - 40) / 4)
 """Photo-current [e⁻/s]."""
@@ -28,11 +28,11 @@ def frame(tmp_path: Path, exposure_s: float, light: float = 1.0, label_s: float 
     return file
 
 
-def judged(file: Path, kind: str, exposure_s: float, before: Seen | None = None) -> str:
+def judged(file: Path, kind: str, exposure_s: float, before: SeenFrame | None = None) -> str:
     return check(file, Step("x", kind, exposure_s), before, None)[1]  # type: ignore[arg-type]
 
 
-def seen(file: Path, exposure_s: float) -> Seen:
+def seen(file: Path, exposure_s: float) -> SeenFrame:
     shown, _ = check(file, Step("x", "sample", exposure_s), None, None)
     assert shown is not None
     return shown
@@ -87,7 +87,7 @@ def test_drift_is_the_change_of_the_light(tmp_path: Path) -> None:
 def test_metering_finds_the_longest_unsaturated_time_in_few_shots(tmp_path: Path) -> None:
     shots: list[float] = []
 
-    def shot(exposure_s: float) -> Seen:
+    def shot(exposure_s: float) -> SeenFrame:
         shots.append(exposure_s)
         return seen(frame(tmp_path, exposure_s), exposure_s)
 

@@ -20,10 +20,10 @@ from bssrdf.rig.interrupts import deferred
 from bssrdf.rig.ports import BenchClock
 from bssrdf.rig.programs import CommandBeam, CommandCamera, CommandShutter, decimal
 from bssrdf.rig.sim.raw_files import dng_bytes
-from bssrdf.rig.sim.sensor import Sensor, expose
+from bssrdf.rig.sim.sensor import SimSensor, expose
 from bssrdf.session.file_kind import kind_of
 
-SENSOR = Sensor(height_px=16, width_px=16)
+SENSOR = SimSensor(height_px=16, width_px=16)
 FRAME = dng_bytes(expose(SENSOR, 1e3, 0.1, np.random.default_rng(0)), SENSOR, 0.1)
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from bssrdf.rig.sim.light import SeenLight
-from bssrdf.rig.sim.picture import View, picture
+from bssrdf.rig.sim.picture import PictureGeometry, picture
 
 
 def exponential(total: float, length_mm: float) -> SeenLight:
@@ -15,7 +15,7 @@ def exponential(total: float, length_mm: float) -> SeenLight:
     return SeenLight(r, total * np.exp(-r / length_mm))
 
 
-def surface_sum(image: np.ndarray, view: View) -> float:
+def surface_sum(image: np.ndarray, view: PictureGeometry) -> float:
     """∫ over the surface, each pixel by the area between its corners."""
     height, width = view.shape
     y, x = np.mgrid[: height + 1, : width + 1] - 0.5
@@ -29,12 +29,12 @@ def surface_sum(image: np.ndarray, view: View) -> float:
 @pytest.mark.parametrize("spot", [0.1, 0.5])
 @pytest.mark.parametrize("perspective", [0.0, 0.1])
 def test_the_frame_holds_all_the_light(angle: float, spot: float, perspective: float) -> None:
-    view = View((400, 600), 0.1, angle, spot_radius_mm=spot, perspective=perspective)
+    view = PictureGeometry((400, 600), 0.1, angle, spot_radius_mm=spot, perspective=perspective)
     assert surface_sum(picture(exponential(0.8, 1.0), view), view) == pytest.approx(0.8, rel=2e-3)
 
 
 def test_far_from_the_spot_the_picture_is_the_curve() -> None:
-    view = View((400, 600), 0.1, spot_radius_mm=0.2)
+    view = PictureGeometry((400, 600), 0.1, spot_radius_mm=0.2)
     image = picture(exponential(1.0, 3.0), view)
     x_mm, _ = view.surface_mm(np.arange(600.0), np.full(600, 199.5))
     r = abs(x_mm)
@@ -46,14 +46,14 @@ def test_far_from_the_spot_the_picture_is_the_curve() -> None:
 
 def test_the_spot_of_a_surface_without_scattering_is_the_beam() -> None:
     point = SeenLight(np.array([0.0, 1e-4, 2e-4]), np.array([1.0, 1e-9, 1e-12]))
-    view = View((101, 101), 0.02, 0.0, spot_radius_mm=0.4)
+    view = PictureGeometry((101, 101), 0.02, 0.0, spot_radius_mm=0.4)
     image = picture(point, view)
     assert image.max() == pytest.approx(2 / (np.pi * 0.4**2), rel=1e-2)
     assert image[50, 70] / image[50, 50] == pytest.approx(np.exp(-2), rel=1e-2)
 
 
 def test_glare_moves_light_within_the_frame() -> None:
-    view = View((200, 300), 0.1)
+    view = PictureGeometry((200, 300), 0.1)
     clean, hazy = (picture(exponential(0.8, 1.0), view, glare) for glare in (0.0, 0.05))
     assert hazy.sum() == pytest.approx(clean.sum())
     assert hazy[0, 0] > 10 * clean[0, 0]

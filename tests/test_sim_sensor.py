@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from bssrdf.rig.sim.sensor import Sensor, dark_current, expose, mosaic
+from bssrdf.rig.sim.sensor import SimSensor, dark_current, expose, mosaic
 
-SENSOR = Sensor(height_px=200, width_px=300, hot_share=0.0, dark_e_per_s=0.0)
+SENSOR = SimSensor(height_px=200, width_px=300, hot_share=0.0, dark_e_per_s=0.0)
 
 
 def test_variance_grows_with_the_mean_by_the_gain_from_the_read_noise_up() -> None:
@@ -21,14 +21,14 @@ def test_variance_grows_with_the_mean_by_the_gain_from_the_read_noise_up() -> No
 
 @pytest.mark.parametrize("bits", [14, 16])
 def test_too_much_light_clips_at_the_full_well(bits: int) -> None:
-    sensor = Sensor(bits=bits)
+    sensor = SimSensor(bits=bits)
     assert (expose(sensor, 2 * sensor.full_well_e, 1.0, np.random.default_rng(1)) == 2**bits - 1).all()
     just_below = expose(sensor, 0.9 * sensor.full_well_e, 1.0, np.random.default_rng(1))
     assert np.median(just_below) < 2**bits - 1
 
 
 def test_hot_pixels_stay_where_they_are_and_grow_with_the_exposure() -> None:
-    sensor = Sensor(hot_share=1e-3)
+    sensor = SimSensor(hot_share=1e-3)
     hot = dark_current(sensor) > 1000
     assert 50 < hot.sum() < 250
     short, long = (expose(sensor, 0.0, t, np.random.default_rng(1))[hot].mean() - sensor.black_dn for t in (0.1, 1.0))

@@ -9,7 +9,7 @@ from numba import njit
 
 from bssrdf.errors import InputError
 from bssrdf.transport.dipole import Medium
-from bssrdf.transport.engine import Beam, MonteCarloMedium, simulate
+from bssrdf.transport.engine import IncidentBeam, MonteCarloMedium, simulate
 from bssrdf.transport.incidence import Incidence
 from bssrdf.transport.white.store import place, table_model
 
@@ -33,7 +33,7 @@ def rd_of(beam, folder):
 def test_the_mean_over_azimuths_is_that_of_the_engine(folder):
     value, model = rd_of(Incidence(ANGLE), folder)
     medium = MonteCarloMedium.reduced(SIGMA_A, SIGMA_SP, G, ETA)
-    tally = simulate(medium, Beam(0.0, ANGLE), r_edges_mm=EDGES, n_photons=400_000, seed=8)
+    tally = simulate(medium, IncidentBeam(0.0, ANGLE), r_edges_mm=EDGES, n_photons=400_000, seed=8)
     expected, error = tally.rd()
     z = (value - expected) / np.hypot(error, 0.015 * expected)
     assert np.mean(z**2) < 1.6

@@ -67,7 +67,7 @@ class MonteCarloMedium:
 
 
 @dataclass(frozen=True)
-class Beam:
+class IncidentBeam:
     """A beam centred on r = 0; the default is a pencil at normal incidence."""
 
     radius_mm: float = 0.0
@@ -85,7 +85,7 @@ class Tally:
     """What left the medium, by batch; values and standard errors come from the batches' mean and spread."""
 
     medium: MonteCarloMedium
-    beam: Beam
+    beam: IncidentBeam
     r_edges_mm: Floats
     """(n_r + 1,), from 0; all light beyond the last edge is one more bin, in totals only."""
     scores: Floats
@@ -144,7 +144,7 @@ class Tally:
 
 def simulate(
     medium: MonteCarloMedium,
-    beam: Beam | None = None,
+    beam: IncidentBeam | None = None,
     *,
     r_edges_mm: ArrayLike,
     n_photons: int,
@@ -158,7 +158,7 @@ def simulate(
     The result is the same for a seed on any number of threads. Ctrl-C returns what is finished, if that is at least
     two batches. Raises InputError for radii that do not ascend from 0.
     """
-    beam = beam or Beam()
+    beam = beam or IncidentBeam()
     edges = _edges(r_edges_mm)
     _require(n_batches >= MIN_BATCHES, "n_batches", n_batches, f"give at least {MIN_BATCHES}")
     _require(n_photons > 0, "n_photons", n_photons, "give at least 1")
@@ -184,7 +184,7 @@ def simulate(
 
 def _batch(
     medium: MonteCarloMedium,
-    beam: Beam,
+    beam: IncidentBeam,
     edges_mm: Floats,
     n_photons: int,
     state: NDArray[np.uint64],

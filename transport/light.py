@@ -121,7 +121,7 @@ class Dipole(NamedTuple):
         return e.xp.zeros_like(q * x)
 
 
-class Table(NamedTuple):
+class WhiteTable(NamedTuple):
     """The white Monte Carlo table of one η and g; see `white.assembly` for the arrays."""
 
     eta: float
@@ -374,8 +374,8 @@ def _exit_bases(eta: float, mu: float) -> tuple[Any, Any]:
     return through * polynomials, through * (1 - mu * mu) / eta**2 * polynomials[:3]
 
 
-def table_of(model: Any) -> Table:
+def table_of(model: Any) -> WhiteTable:
     """The arrays of a white table, by name, as this module's Table."""
-    names = [n for n in Table._fields if n not in Table._field_defaults]
+    names = [n for n in WhiteTable._fields if n not in WhiteTable._field_defaults]
     arrays: dict[str, Any] = {name: np.asarray(getattr(model, name)) for name in names}
-    return Table(**arrays)._replace(eta=float(model.eta), g=float(model.g))
+    return WhiteTable(**arrays)._replace(eta=float(model.eta), g=float(model.g))

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from bssrdf.errors import InputError, UsageError
 from bssrdf.render.material import RenderMaterial
 from bssrdf.render.scenes.place import SKY, beam, box, box_size, grey, moved, panel, sky, table
-from bssrdf.render.scenes.record import Body, Camera, Maps, Plugin, Scene
+from bssrdf.render.scenes.record import Body, Maps, Plugin, Scene, Viewpoint
 
 LIGHTS = ("beam", "edge", SKY)
 BEAM_RADIUS_MM = 0.25
@@ -30,7 +30,7 @@ def slab(
         raise UsageError(f'light "{light}" is not one of {", ".join(LIGHTS)}')
     sides = (side_mm, side_mm, thickness_mm)
     body = Body(box((-side_mm / 2, -side_mm / 2, -thickness_mm), sides), material, box_size(sides), **look)
-    camera = Camera((0.0, 0.0, side_mm / 200), (0.0, 0.0, 0.0), up=(0.0, 1.0, 0.0), width_mm=side_mm / 3)
+    camera = Viewpoint((0.0, 0.0, side_mm / 200), (0.0, 0.0, 0.0), up=(0.0, 1.0, 0.0), width_mm=side_mm / 3)
     lights: dict[str, dict[str, Plugin]] = {
         "beam": {"beam": beam((0.0, 0.0, 1.0), (0.0, 0.0, 0.0), BEAM_RADIUS_MM, flux=1.0)},
         "edge": {"lamp": panel((0.0, -side_mm, side_mm), (0.0, 0.0, 0.0), (0.3 * side_mm,) * 2, radiance=10.0)},
@@ -56,7 +56,7 @@ def block(material: RenderMaterial, **look: Any) -> Scene:
     body = Body(box((-side / 2, -side / 2, 0.0), sides), material, box_size(sides), **look)
     spot = (-side / 2 + 4.0, -side / 2, side - 8.0)
     lights = {"laser": beam((100.0, -1000.0, 300.0), spot, 0.8, flux=100.0), SKY: sky(0.01)}
-    camera = Camera((-75.0, -105.0, 75.0), (-2.0, -2.0, 18.0), fov_deg=26.0)
+    camera = Viewpoint((-75.0, -105.0, 75.0), (-2.0, -2.0, 18.0), fov_deg=26.0)
     return Scene("block", {"block": body}, lights, camera, {"table": table(0.25)}, narrow_light=True)
 
 
@@ -66,7 +66,7 @@ def texture(material: RenderMaterial, *, texture_path: Path | None = None, **loo
     sides = (TILE_MM, TILE_MM, 12.0)
     body = Body(box((-TILE_MM / 2, -TILE_MM / 2, 0.0), sides), material, box_size(sides), maps=maps, **look)
     lights = {"panel": panel((-70.0, 30.0, 60.0), (0.0, 0.0, 0.0), (25.0, 25.0), radiance=9.0), SKY: sky(0.2)}
-    camera = Camera((0.0, -90.0, 110.0), (0.0, 0.0, 6.0), fov_deg=30.0)
+    camera = Viewpoint((0.0, -90.0, 110.0), (0.0, 0.0, 6.0), fov_deg=30.0)
     return Scene("texture", {"tile": body}, lights, camera, {"table": table(0.3)})
 
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from bssrdf.render.head import head_mesh
 from bssrdf.render.material import RenderMaterial
 from bssrdf.render.scenes.place import SKY, panel, sky, table
-from bssrdf.render.scenes.record import Body, Bump, Camera, Scene, Vector
+from bssrdf.render.scenes.record import Body, Bump, Scene, Vector, Viewpoint
 from bssrdf.render.surface_nets import TriangleMesh
 
 BUST_MM = 60.0
@@ -30,7 +30,7 @@ def bust(material: RenderMaterial, *, mesh: TriangleMesh | None = None, **look: 
         "behind": panel(at(1.9, 1.0, 1.3), at(0, 0, 0.6), (0.4 * h, 0.4 * h), radiance=25.0),
         SKY: sky(0.015),
     }
-    camera = Camera(at(-0.55, -2.7, 0.75), at(0, 0, 0.5), fov_deg=26.0)
+    camera = Viewpoint(at(-0.55, -2.7, 0.75), at(0, 0, 0.5), fov_deg=26.0)
     return Scene("bust", {"bust": _body(mesh, material, **look)}, lights, camera, {"table": table(0.1)})
 
 
@@ -44,7 +44,7 @@ def face(material: RenderMaterial, *, mesh: TriangleMesh | None = None, **look: 
         "key": panel(at(2.2, -0.5, 1.6), at(0, 0, 0.6), (0.12 * h, 0.12 * h), radiance=200.0),
         SKY: sky(0.03),
     }
-    camera = Camera(at(-0.25, -2.5, 0.72), at(0, -0.05, 0.62), fov_deg=11.5)
+    camera = Viewpoint(at(-0.25, -2.5, 0.72), at(0, -0.05, 0.62), fov_deg=11.5)
     return Scene("face", {"face": _body(mesh, material, bump=bump, **look)}, lights, camera)
 
 

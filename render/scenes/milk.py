@@ -9,7 +9,7 @@ import numpy as np
 from bssrdf.render.lathe import turned
 from bssrdf.render.material import RenderMaterial, find_medium
 from bssrdf.render.scenes.place import SKY, box, box_size, panel, sky, table
-from bssrdf.render.scenes.record import Body, Camera, Scene
+from bssrdf.render.scenes.record import Body, Scene, Viewpoint
 
 RADIUS_MM = 20.0
 """At the foot; the glass widens upwards."""
@@ -27,7 +27,7 @@ def milk(material: RenderMaterial, **look: Any) -> Scene:
     size = 3 * FILL_MM * RADIUS_MM / (2 * (FILL_MM + RADIUS_MM))
     marble = Body(box((-_TABLE[0] / 2, -_TABLE[1] / 2, 0.0), _TABLE), find_medium("Marble"), box_size(_TABLE))
     lights = {"window": panel((-210.0, 10.0, 110.0), (0.0, 0.0, 45.0), (45.0, 60.0), radiance=12.0), SKY: sky(0.02)}
-    camera = Camera((25.0, -230.0, 120.0), (0.0, 0.0, 50.0), fov_deg=25.0)
+    camera = Viewpoint((25.0, -230.0, 120.0), (0.0, 0.0, 50.0), fov_deg=25.0)
     bodies = {"milk": Body(glass, material, size, **look), "marble": marble}
     return Scene("milk", bodies, lights, camera, {"floor": table(0.1)})
 

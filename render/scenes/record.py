@@ -47,7 +47,7 @@ class Body:
 
 
 @dataclass(frozen=True)
-class Camera:
+class Viewpoint:
     """Perspective, or orthographic where `width_mm` is given."""
 
     origin: Vector
@@ -75,7 +75,7 @@ class Scene:
     name: str
     bodies: Mapping[str, Body]
     lights: Mapping[str, Plugin]
-    camera: Camera
+    camera: Viewpoint
     furniture: Mapping[str, Plugin] = field(default_factory=dict)
     """Opaque or clear things, with their surfaces."""
     narrow_light: bool = False

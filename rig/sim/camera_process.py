@@ -27,7 +27,7 @@ import numpy as np
 from bssrdf.rig.sim import ptpip
 from bssrdf.rig.sim.ptpip import Answer
 from bssrdf.rig.sim.raw_files import dng_bytes
-from bssrdf.rig.sim.scene import BRACKET_S, Scene, read_scene
+from bssrdf.rig.sim.scene import BRACKET_S, BenchScene, read_scene
 from bssrdf.rig.sim.sensor import expose
 from bssrdf.rig.sim.world_server import WorldClient
 
@@ -48,7 +48,7 @@ _LATENCY_S = 0.01
 class SimulatedCamera:
     """State of the camera, and what each PTP operation does to it."""
 
-    def __init__(self, scene: Scene, world: WorldClient, port: int) -> None:
+    def __init__(self, scene: BenchScene, world: WorldClient, port: int) -> None:
         self._scene = scene
         self._world = world
         self._currents = scene.photo_currents()

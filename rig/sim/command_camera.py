@@ -16,7 +16,7 @@ import numpy as np
 
 from bssrdf.rig.sim.command_shutter import disturbed
 from bssrdf.rig.sim.raw_files import dng_bytes
-from bssrdf.rig.sim.sensor import Sensor, expose
+from bssrdf.rig.sim.sensor import SimSensor, expose
 from bssrdf.rig.sim.world_server import WorldClient
 
 CURRENTS = "photo_currents.npz"
@@ -41,7 +41,7 @@ def main(scene_path: str, world_path: str, speed: str, exposure: str, out: str) 
 
 def _frame(scene: dict, currents: Path, subject: str, exposure_s: float, lit: float) -> bytes:
     """The same frame each time for the same exposure of the same light."""
-    sensor = Sensor(**scene["sensor"])
+    sensor = SimSensor(**scene["sensor"])
     seed = [scene["seed"], zlib.crc32(f"{subject} {exposure_s:.4f} {lit:.3f}".encode())]
     with np.load(currents) as light:
         dn = expose(sensor, lit * light[subject], exposure_s, np.random.default_rng(seed))

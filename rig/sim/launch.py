@@ -17,7 +17,7 @@ import numpy as np
 
 from bssrdf.errors import DeviceError
 from bssrdf.rig.sim.command_camera import CURRENTS
-from bssrdf.rig.sim.scene import BRACKET_S, Scene, write_scene
+from bssrdf.rig.sim.scene import BRACKET_S, BenchScene, write_scene
 from bssrdf.rig.sim.world_server import WorldClient
 from bssrdf.session.text_file import toml_table
 
@@ -42,7 +42,7 @@ class SimulatedBench:
     def __init__(
         self,
         folder: Path,
-        scene: Scene,
+        scene: BenchScene,
         *,
         shutter: str = "sc10",
         camera: str = "gphoto2",
@@ -118,7 +118,7 @@ class SimulatedBench:
         for part in list(self._processes):
             self.end(part)
 
-    def _rig_toml(self, scene: Scene) -> str:
+    def _rig_toml(self, scene: BenchScene) -> str:
         shutter, beam = self._shutter_tables()
         view = scene.view
         geometry: dict[str, Any] = {"view_angle_deg": view.view_angle_deg, "view_axis": view.view_axis}
@@ -178,7 +178,7 @@ class SimulatedBench:
 
 
 @contextmanager
-def simulated_bench(scene: Scene, *, shutter: str = "sc10", speed: float = 20.0) -> Iterator[SimulatedBench]:
+def simulated_bench(scene: BenchScene, *, shutter: str = "sc10", speed: float = 20.0) -> Iterator[SimulatedBench]:
     """A bench in a temporary folder, for as long as the block lasts."""
     if os.name != "posix":
         raise DeviceError("simulated bench: needs ptys, which this system does not have; use Linux or macOS")

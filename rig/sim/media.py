@@ -34,24 +34,24 @@ class SampleMedium:
 
 
 @dataclass(frozen=True)
-class Sample:
+class SimSample:
     """What can lie under the beam: a half space, by its coefficients in each channel."""
 
     name: str
     media: dict[str, SampleMedium]
 
 
-def published_sample(name: str) -> Sample:
+def published_sample(name: str) -> SimSample:
     """A line of the published table, isotropic scattering; where it prints σa = 0, the tile's loss instead."""
     material = find_material(name)
     media = {
         channel: SampleMedium(sigma_a or TILE_ALBEDO_LOSS * sigma_sp, sigma_sp, material.eta)
         for channel, sigma_a, sigma_sp in zip(CHANNELS, material.sigma_a_per_mm, material.sigma_sp_per_mm, strict=True)
     }
-    return Sample(material.name, media)
+    return SimSample(material.name, media)
 
 
-def white_tile() -> Sample:
+def white_tile() -> SimSample:
     """The reference: a thick Spectralon tile, which spreads the spot by its own scattering."""
     return published_sample("Spectralon")
 

@@ -17,7 +17,7 @@ _NEAR_SPOTS = 6.0
 
 
 @dataclass(frozen=True)
-class View:
+class PictureGeometry:
     """Where the camera's pixels lie on the surface, and the beam among them."""
 
     shape: tuple[int, int]
@@ -49,7 +49,7 @@ class View:
         return x / w, y / w
 
 
-def picture(light: SeenLight, view: View, glare: float = 0.0) -> Array:
+def picture(light: SeenLight, view: PictureGeometry, glare: float = 0.0) -> Array:
     """πL/Φ [1/mm²] averaged over each pixel's footprint, (height, width); the camera stands towards +y of the surface
     (+x where it views along x).
 
@@ -70,11 +70,11 @@ def picture(light: SeenLight, view: View, glare: float = 0.0) -> Array:
     return (1 - glare) * out + glare * out.mean()
 
 
-def _seen(radiance: Radiance, view: View, x_mm: Array, y_mm: Array) -> Array:
+def _seen(radiance: Radiance, view: PictureGeometry, x_mm: Array, y_mm: Array) -> Array:
     return radiance(x_mm, y_mm) if view.view_axis == "y" else radiance(y_mm, x_mm)
 
 
-def _footprint_mean(radiance: Radiance, view: View, x_px: Array, y_px: Array) -> Array:
+def _footprint_mean(radiance: Radiance, view: PictureGeometry, x_px: Array, y_px: Array) -> Array:
     """Mean over a pixel's square by Gauss–Legendre quadrature, for pixel centres of shape (n,)."""
     nodes, weights = np.polynomial.legendre.leggauss(4)
     x, y = np.meshgrid(nodes / 2, nodes / 2)

@@ -9,7 +9,7 @@ import numpy as np
 import tifffile
 from numpy.typing import NDArray
 
-from bssrdf.rig.sim.sensor import Sensor
+from bssrdf.rig.sim.sensor import SimSensor
 
 _FILTER = {"R": 0, "G": 1, "B": 2}
 _COLOUR_FILTER_ARRAY = 32803
@@ -17,7 +17,7 @@ _IDENTITY_MATRIX = (1, 1, 0, 1, 0, 1, 0, 1, 1, 1, 0, 1, 0, 1, 0, 1, 1, 1)
 _D65 = 21
 
 
-def dng_bytes(dn: NDArray[np.uint16], sensor: Sensor, exposure_s: float, iso: int = 100) -> bytes:
+def dng_bytes(dn: NDArray[np.uint16], sensor: SimSensor, exposure_s: float, iso: int = 100) -> bytes:
     """A DNG (Adobe DNG 1.4, uncompressed) of a raw frame, with its exposure time and ISO as EXIF tags."""
     exposure = Fraction(exposure_s).limit_denominator(10_000)
     pattern = bytes(_FILTER[channel] for channel in sensor.layout)

@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bssrdf.rig.sim.light import SeenLight, seen_light
-from bssrdf.rig.sim.media import Sample, SampleMedium
-from bssrdf.rig.sim.picture import View, picture
-from bssrdf.rig.sim.sensor import Sensor, mosaic
+from bssrdf.rig.sim.media import SampleMedium, SimSample
+from bssrdf.rig.sim.picture import PictureGeometry, picture
+from bssrdf.rig.sim.sensor import SimSensor, mosaic
 
 BRACKET_S = (0.001, 0.002, 0.004, 0.008, 0.016, 0.032, 0.064, 0.128, 0.25, 0.5, 1.0, 2.0, 4.0)
 """Exposure times that the simulated camera can be set to."""
@@ -25,12 +25,12 @@ _PEAK = 0.1
 
 
 @dataclass(frozen=True)
-class Scene:
+class BenchScene:
     """Sample and tile, and how they are lit and seen."""
 
-    sample: Sample
-    tile: Sample
-    sensor: Sensor = field(default_factory=Sensor)
+    sample: SimSample
+    tile: SimSample
+    sensor: SimSensor = field(default_factory=SimSensor)
     mm_per_px: float = 0.1
     view_angle_deg: float = 45.0
     spot_radius_mm: float = 0.2
@@ -48,8 +48,8 @@ class Scene:
     """With "repeatable", the same exposure of the same subject gives the same file again."""
 
     @property
-    def view(self) -> View:
-        return View(
+    def view(self) -> PictureGeometry:
+        return PictureGeometry(
             self.sensor.shape,
             self.mm_per_px,
             self.view_angle_deg,
@@ -57,7 +57,7 @@ class Scene:
             perspective=self.perspective,
         )
 
-    def light(self, sample: Sample) -> dict[str, SeenLight]:
+    def light(self, sample: SimSample) -> dict[str, SeenLight]:
         """The light of each channel of a sample under the camera's angle."""
         return {
             channel: seen_light(medium, self.view_angle_deg, photons=self.photons, seed=self.seed)
@@ -71,11 +71,11 @@ class Scene:
         e_per_s = _PEAK * self.sensor.full_well_e / (brightest * BRACKET_S[0])
         return {subject: e_per_s * current for subject, current in currents.items()}
 
-    def radiance_factors(self, sample: Sample) -> tuple[float, ...]:
+    def radiance_factors(self, sample: SimSample) -> tuple[float, ...]:
         """Radiance factor of each channel at the camera's angle."""
         return tuple(curve.total for curve in self.light(sample).values())
 
-    def _unit_current(self, sample: Sample) -> Array:
+    def _unit_current(self, sample: SimSample) -> Array:
         planes = {
             channel: power * picture(curve, self.view, self.glare)
             for (channel, curve), power in zip(self.light(sample).items(), self.channel_power, strict=True)
@@ -83,7 +83,7 @@ class Scene:
         return mosaic(self.sensor, planes)
 
 
-def write_scene(path: Path, scene: Scene) -> None:
+def write_scene(path: Path, scene: BenchScene) -> None:
     """Write the document; it is the ground truth, so it lies outside of every session."""
     document = asdict(scene)
     document["light"] = "Monte Carlo, absorption in the walk"
@@ -91,15 +91,17 @@ def write_scene(path: Path, scene: Scene) -> None:
     path.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
 
 
-def read_scene(path: Path) -> Scene:
+def read_scene(path: Path) -> BenchScene:
     """The scene of a document."""
     document: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
     del document["light"], document["radiance_factor"]
     sample, tile = (_sample(document.pop(part)) for part in ("sample", "tile"))
-    sensor = Sensor(**document.pop("sensor"))
+    sensor = SimSensor(**document.pop("sensor"))
     document["channel_power"] = tuple(document["channel_power"])
-    return Scene(sample, tile, sensor, **document)
+    return BenchScene(sample, tile, sensor, **document)
 
 
-def _sample(document: dict[str, Any]) -> Sample:
-    return Sample(document["name"], {channel: SampleMedium(**medium) for channel, medium in document["media"].items()})
+def _sample(document: dict[str, Any]) -> SimSample:
+    return SimSample(
+        document["name"], {channel: SampleMedium(**medium) for channel, medium in document["media"].items()}
+    )

@@ -12,7 +12,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Sensor:
+class SimSensor:
     """A mosaic sensor with linear response."""
 
     height_px: int = 400
@@ -47,7 +47,7 @@ class Sensor:
 
 
 @functools.lru_cache(maxsize=4)
-def dark_current(sensor: Sensor) -> Array:
+def dark_current(sensor: SimSensor) -> Array:
     """Dark current of each pixel [e⁻/s], (height, width): a common rate, and some hot pixels far above it."""
     rng = np.random.default_rng(sensor.seed)
     hot = rng.random(sensor.shape) < sensor.hot_share
@@ -55,7 +55,7 @@ def dark_current(sensor: Sensor) -> Array:
 
 
 def expose(
-    sensor: Sensor, light_e_per_s: Array | float, exposure_s: float, rng: np.random.Generator
+    sensor: SimSensor, light_e_per_s: Array | float, exposure_s: float, rng: np.random.Generator
 ) -> NDArray[np.uint16]:
     """A raw frame [DN], (height, width): Poisson charge from light and dark current, read noise, gain, clipping.
 
@@ -67,7 +67,7 @@ def expose(
     return np.clip(dn, 0, sensor.white_dn).astype(np.uint16)
 
 
-def mosaic(sensor: Sensor, planes: dict[str, Array]) -> Array:
+def mosaic(sensor: SimSensor, planes: dict[str, Array]) -> Array:
     """One plane, (height, width), that takes each pixel from the plane of its own filter; `planes` by channel name."""
     if sensor.layout == "mono":
         (plane,) = planes.values()
