@@ -10,7 +10,6 @@ import tempfile
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +17,7 @@ from numpy.typing import NDArray
 from bssrdf.bench.frame_faults import FAULTS, currents, scene, session_of, write_session
 from bssrdf.calib import Exposures, Surface
 from bssrdf.errors import InputError
-from bssrdf.measure import Hdr, Image, SliceOptions, measure_session, measure_slice
+from bssrdf.measure import Hdr, Image, Progress, SliceOptions, measure_session, measure_slice
 from bssrdf.session.records import Camera, ChannelSlice, Slice
 
 Array = NDArray[np.float64]
@@ -45,12 +44,6 @@ class Trial:
     total_rel_sd: tuple[float, ...] = ()
     decade_z: tuple[tuple[float, ...], ...] = ()
     """By channel, brightest decade first."""
-
-
-class Progress(Protocol):
-    """Told how far a long work is."""
-
-    def __call__(self, what: str, done: int, total: int, /) -> None: ...
 
 
 def run_frames_bench(

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -21,10 +20,10 @@ from bssrdf.bench.render_cases import MATERIALS, METHODS, REFERENCE, Case, cases
 from bssrdf.bench.render_results import KNOWN, CaseResult, ResultRow, write_results
 from bssrdf.bench.render_truth import cut_share, sky_radiance
 from bssrdf.errors import UsageError
+from bssrdf.measure import Progress
 from bssrdf.render import EPSILON, RenderMaterial, Stage, find_medium, load_stage, render_pass
 from bssrdf.session.atomic import make_folder
 
-Progress = Callable[[str, int, int], None]
 Floats = NDArray[np.float64]
 REFERENCE_SE = 0.003
 _REFERENCE_SEED = 1_000_000

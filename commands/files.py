@@ -14,6 +14,7 @@ from bssrdf.fit.run import SILENT, FitOptions, fit_slices
 from bssrdf.fit.setting import setting_flags
 from bssrdf.session.atomic import atomic_write, sha256_of
 from bssrdf.session.fit_json import read_fit, write_fit
+from bssrdf.session.flags import Flag
 from bssrdf.session.records import ChannelFit, Fit, Session, Slice
 from bssrdf.session.session_toml import read_session
 from bssrdf.session.slice_csv import HEADER, read_slice
@@ -173,7 +174,7 @@ def _finish(
         raise channels
     channels = _with_setting(path, channels)
     if g_fitted:
-        channels = {name: replace(channel, flags=(*channel.flags, "g_fitted")) for name, channel in channels.items()}
+        channels = {name: replace(channel, flags=(*channel.flags, Flag.G_FITTED)) for name, channel in channels.items()}
     fit = _fit(path, piece, channels, _asked(options, keys))
     target = out or (path / "fit.json" if path.is_dir() else None)
     if target is not None:

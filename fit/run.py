@@ -26,6 +26,7 @@ from bssrdf.fit.models import (
 from bssrdf.fit.neighbours import bias, dipole_on_light, refitted, sensitivities, table_error, to_log
 from bssrdf.fit.terms import Constraint
 from bssrdf.fit.verdict import FEWEST, Extra, channel_fits, covariances, inflation, needs_profile
+from bssrdf.session.flags import Flag
 from bssrdf.session.records import ChannelFit, Slice
 from bssrdf.transport import NORMAL, Policy
 from bssrdf.transport.light import Light, WhiteTable, coefficients
@@ -203,13 +204,13 @@ def _others(fitted: Fitted) -> list[tuple[str, ...]]:
         return raised
     part = _subset(fitted, poor)
     g = ASSUMED_G if piece.g is None else piece.g
-    nodes = [("g", piece.eta, other) for other in OTHER_G if abs(other - g) > 0.05]
-    nodes += [("eta", piece.eta + step, g) for step in (-ETA_AWAY, ETA_AWAY)]
-    for key, eta, other in nodes:
+    nodes = [(Flag.G_SUSPECT, piece.eta, other) for other in OTHER_G if abs(other - g) > 0.05]
+    nodes += [(Flag.ETA_SUSPECT, piece.eta + step, g) for step in (-ETA_AWAY, ETA_AWAY)]
+    for flag, eta, other in nodes:
         if tabulated(eta, other):
             for at, row in enumerate(poor):
                 if _fits_better(part, shipped_table(eta, other), at):
-                    raised[row] = tuple(dict.fromkeys((*raised[row], f"{key}_suspect")))
+                    raised[row] = tuple(dict.fromkeys((*raised[row], flag)))
     return raised
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+from bssrdf.session.flags import Flag
 from bssrdf.session.records import ChannelFit, Material
 
 REACH = 3.0
@@ -15,9 +16,9 @@ def setting_flags(material: Material, channel: ChannelFit) -> tuple[str, ...]:
     sigma_tr = math.sqrt(3 * channel.sigma_a_per_mm * (channel.sigma_a_per_mm + channel.sigma_sp_per_mm))
     needed_mm = REACH / sigma_tr if sigma_tr > 0 else math.inf
     held = {
-        "narrow_sample": material.width_mm is not None and material.width_mm / 2 < needed_mm,
-        "rough_finish": material.finish == "rough",
-        "thin_sample": material.thickness_mm is not None and material.thickness_mm < needed_mm,
-        "under_glass": material.cover == "glass",
+        Flag.NARROW_SAMPLE: material.width_mm is not None and material.width_mm / 2 < needed_mm,
+        Flag.ROUGH_FINISH: material.finish == "rough",
+        Flag.THIN_SAMPLE: material.thickness_mm is not None and material.thickness_mm < needed_mm,
+        Flag.UNDER_GLASS: material.cover == "glass",
     }
     return tuple(name for name, holds in held.items() if holds)

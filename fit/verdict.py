@@ -14,6 +14,7 @@ from bssrdf.fit.intervals import Profile
 from bssrdf.fit.layout import camera_factor
 from bssrdf.fit.models import OBLIQUE_DEG, is_clamped
 from bssrdf.fit.neighbours import Bias, to_log
+from bssrdf.session.flags import Flag
 from bssrdf.session.records import ChannelFit, Slice, Status
 from bssrdf.transport.light import coefficients
 
@@ -47,7 +48,7 @@ LEAST_LIGHT = 1e-4
 MOST_LIGHT = 2.0
 MUCH_LOST = 0.05
 """Share of the light that fell outside the frame, beyond which its estimate decides R."""
-REJECTING = ("total_inconsistent", "shape_misfit", "g_suspect", "eta_suspect")
+REJECTING = (Flag.TOTAL_INCONSISTENT, Flag.SHAPE_MISFIT, Flag.G_SUSPECT, Flag.ETA_SUSPECT)
 NAMES = {"exit": "exit_law"}
 """Sources by the name that the budget has for them, where it differs."""
 
@@ -144,7 +145,7 @@ def _channel_fit(
     flags = list(_flags(fitted, extra, row, interval, float(rel_sd[1])))
     interval, sp_interval, flags = _with_rival(fitted, row, interval, sp_interval, flags)
     status = _status(flags)
-    no_sigma_a = "sigma_a_unidentifiable" in flags
+    no_sigma_a = Flag.SIGMA_A_UNIDENTIFIABLE in flags
     result = ChannelFit(
         model=fitted.model.name,
         sigma_a_per_mm=NAN if no_sigma_a else sigma_a,
@@ -212,27 +213,27 @@ def _with_rival(
 ) -> tuple[Interval, Interval, list[str]]:
     """One interval for two media that fit alike; where it would say nothing, that is said."""
     other = [float(each[row, 0]) for each in fitted.rival]
-    if not np.isfinite(other).all() or "few_radii" in flags:
+    if not np.isfinite(other).all() or Flag.FEW_RADII in flags:
         return interval, sp_interval, flags
     sigma_a, sigma_sp = (float(each) for each in coefficients(other[0], other[1]))
     a = (min(interval[0], sigma_a), max(interval[1], sigma_a))
     sp = (min(sp_interval[0], sigma_sp), max(sp_interval[1], sigma_sp))
     far = sp[1] > TWO_MEDIA * sp[0] or a[1] > TWO_MEDIA**2 * max(a[0], 1e-300)
-    return a, sp, [*flags, "two_media", *(["noise"] if far and "noise" not in flags else [])]
+    return a, sp, [*flags, Flag.TWO_MEDIA, *([Flag.NOISE] if far and Flag.NOISE not in flags else [])]
 
 
 def _status(flags: Sequence[str]) -> Status:
-    if {"few_radii", "noise"} & set(flags):
+    if {Flag.FEW_RADII, Flag.NOISE} & set(flags):
         return "unidentifiable"
-    if "not_converged" in flags:
+    if Flag.NOT_CONVERGED in flags:
         return "failed"
     if set(REJECTING) & set(flags):
         return "rejected"
-    return "upper_bound" if {"albedo_one", "total_at_limit"} & set(flags) else "converged"
+    return "upper_bound" if {Flag.ALBEDO_ONE, Flag.TOTAL_AT_LIMIT} & set(flags) else "converged"
 
 
 def _flags(fitted: Fitted, extra: Extra, row: int, interval: Interval, rel_sd: float) -> list[str]:
-    """The names from `flags.MEANING` that hold for this fit."""
+    """The names from `Flag` that hold for this fit."""
     job, plan, judged = fitted.jobs[row], fitted.plan, fitted.judged
     pieces = job.pieces
     q, sigma_tp = float(fitted.found.point.q[row, 0]), float(np.exp(fitted.found.point.log_sigma[row, 0]))
@@ -245,38 +246,38 @@ def _flags(fitted: Fitted, extra: Extra, row: int, interval: Interval, rel_sd: f
     count = _count(fitted, row)
     end = _window(fitted, row)[1]
     held: dict[str, bool] = {
-        "albedo_one": interval[0] <= 0,
-        "dipole_unchecked": dipole and not extra.checked,
-        "few_radii": count < FEWEST,
-        "g_assumed": pieces[0].g is None and not dipole,
-        "g_clamped": is_clamped(pieces[0].g) and not dipole,
-        "incidence_oblique": dipole and any(p.incidence_deg >= OBLIQUE_DEG for p in pieces),
-        "joint": len(pieces) > 1,
-        "light_lost": any((p.lost_fraction or {}).get(job.channel, 0.0) > MUCH_LOST for p in pieces),
-        "noise": not rel_sd < VAGUE,
-        "not_converged": not bool(fitted.found.converged[row]) or untested,
-        "poor_fit": known and float(judged.chi2[row]) > POOR_CHI2,
-        "poor_fit_runs": known and float(judged.runs_z[row]) > POOR_RUNS,
-        "robust": plan.robust,
-        "robust_advised": known and not plan.robust and _outliers(fitted, row),
-        "scale_free": plan.scale_free,
-        "scale_sd_unknown": any(p.scale_rel_sd is None for p in pieces),
-        "scale_suspect": not plan.scale_free and not all(
+        Flag.ALBEDO_ONE: interval[0] <= 0,
+        Flag.DIPOLE_UNCHECKED: dipole and not extra.checked,
+        Flag.FEW_RADII: count < FEWEST,
+        Flag.G_ASSUMED: pieces[0].g is None and not dipole,
+        Flag.G_CLAMPED: is_clamped(pieces[0].g) and not dipole,
+        Flag.INCIDENCE_OBLIQUE: dipole and any(p.incidence_deg >= OBLIQUE_DEG for p in pieces),
+        Flag.JOINT: len(pieces) > 1,
+        Flag.LIGHT_LOST: any((p.lost_fraction or {}).get(job.channel, 0.0) > MUCH_LOST for p in pieces),
+        Flag.NOISE: not rel_sd < VAGUE,
+        Flag.NOT_CONVERGED: not bool(fitted.found.converged[row]) or untested,
+        Flag.POOR_FIT: known and float(judged.chi2[row]) > POOR_CHI2,
+        Flag.POOR_FIT_RUNS: known and float(judged.runs_z[row]) > POOR_RUNS,
+        Flag.ROBUST: plan.robust,
+        Flag.ROBUST_ADVISED: known and not plan.robust and _outliers(fitted, row),
+        Flag.SCALE_FREE: plan.scale_free,
+        Flag.SCALE_SD_UNKNOWN: any(p.scale_rel_sd is None for p in pieces),
+        Flag.SCALE_SUSPECT: not plan.scale_free and not all(
             _within_reason(p, job.channel, r) for p, r in zip(pieces, totals, strict=True)
         ),
-        "sd_filled": any(each.filled for each in fitted.rows[row]),
-        "sd_unknown": not known,
-        "shape_misfit": known and float(judged.drift[row]) > MOST_DRIFT + own_drift,
-        "sigma_a_unidentifiable": not np.isfinite(interval[1]),
-        "single_scattering": dipole and q > np.sqrt(1.5),
-        "spot_wide": any((p.spot_radius_mm or 0.0) * sigma_tp > 1 for p in pieces),
-        "total_at_limit": plan.constraint != "none" and any(r >= 1 for r in totals),
-        "total_inconsistent": abs(float(judged.pull[row])) / grown > MOST_PULL + own_pull,
-        "total_unknown": all(np.isnan(totals)),
-        "window_short": end * max(q, 0.0) * sigma_tp < 1,
+        Flag.SD_FILLED: any(each.filled for each in fitted.rows[row]),
+        Flag.SD_UNKNOWN: not known,
+        Flag.SHAPE_MISFIT: known and float(judged.drift[row]) > MOST_DRIFT + own_drift,
+        Flag.SIGMA_A_UNIDENTIFIABLE: not np.isfinite(interval[1]),
+        Flag.SINGLE_SCATTERING: dipole and q > np.sqrt(1.5),
+        Flag.SPOT_WIDE: any((p.spot_radius_mm or 0.0) * sigma_tp > 1 for p in pieces),
+        Flag.TOTAL_AT_LIMIT: plan.constraint != "none" and any(r >= 1 for r in totals),
+        Flag.TOTAL_INCONSISTENT: abs(float(judged.pull[row])) / grown > MOST_PULL + own_pull,
+        Flag.TOTAL_UNKNOWN: all(np.isnan(totals)),
+        Flag.WINDOW_SHORT: end * max(q, 0.0) * sigma_tp < 1,
     }  # fmt: skip
-    if held["few_radii"]:
-        return [name for name in ("few_radii", "g_assumed", "scale_sd_unknown", "sd_unknown") if held[name]]
+    if held[Flag.FEW_RADII]:
+        return [name for name in (Flag.FEW_RADII, Flag.G_ASSUMED, Flag.SCALE_SD_UNKNOWN, Flag.SD_UNKNOWN) if held[name]]
     measured = [flag for p in pieces for flag in p.flags]
     return list(dict.fromkeys([*(n for n, holds in held.items() if holds), *extra.other_models[row], *measured]))
 

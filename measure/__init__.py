@@ -8,7 +8,6 @@ if TYPE_CHECKING:
     from bssrdf.measure.calibrate import calibrate_camera as calibrate_camera
     from bssrdf.measure.calibrate import radius_of_edge as radius_of_edge
     from bssrdf.measure.calibrate import radius_on_target as radius_on_target
-    from bssrdf.measure.flags import MEANING as MEANING
     from bssrdf.measure.hdr import DarkPaired as DarkPaired
     from bssrdf.measure.hdr import Hdr as Hdr
     from bssrdf.measure.hdr import Progress as Progress

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from bssrdf.calib import Sensor, pile_up_dn, read_noise_dn, step_dn, thinned
 from bssrdf.measure.bracket import Bracket
 from bssrdf.measure.pixels import mosaic_period, places
+from bssrdf.session.flags import Flag
 from bssrdf.session.records import Camera
 
 MARGIN = 0.01
@@ -78,11 +79,11 @@ def _saturations(
     stated = float(camera.white) if camera.white is not None else np.inf
     tops = [max(float(frame[at].max()) for frame in longest) for at in at_places]
     whites = [min(pile, stated) for pile in piles]
-    flags = []
+    flags: list[str] = []
     if not np.isfinite(piles).any():
-        flags.append("white_unseen")
+        flags.append(Flag.WHITE_UNSEEN)
     if any(pile < stated - _LOWER * (stated - black) for pile in piles if np.isfinite(stated)):
-        flags.append("white_below_stated")
+        flags.append(Flag.WHITE_BELOW_STATED)
     return tuple(
         white - MARGIN * (white - black) if np.isfinite(white) else top + max(step, np.spacing(np.float32(top)))
         for white, top in zip(whites, tops, strict=True)

@@ -19,6 +19,7 @@ from bssrdf.errors import InputError
 from bssrdf.measure.image import Image
 from bssrdf.measure.reflectance import TotalReflectance, blocks_of
 from bssrdf.measure.tail import Surroundings
+from bssrdf.session.flags import Flag
 from bssrdf.session.records import Array, Session
 from bssrdf.transport import second_harmonic, shipped
 
@@ -108,13 +109,13 @@ def look_at_isophotes(view: Expected, images: tuple[Image, Image], spots: tuple[
     stated_sd = float(np.tan(np.radians(geometry.view_angle_deg)) * np.radians(view.view_angle_sd_deg))
     if sample is None:
         tile_off = tile is not None and _is_off(tile, stated_sd)
-        raised = {"aspect_off": tile_off, "geometry_unchecked": not tile_off}
+        raised = {Flag.ASPECT_OFF: tile_off, Flag.GEOMETRY_UNCHECKED: not tile_off}
         return Isophotes(aspects, [flag for flag, is_raised in raised.items() if is_raised])
     return Isophotes(aspects, _flags(sample, tile, geometry.view_angle_deg, stated_sd))
 
 
 def _unchecked(aspects: dict[str, Aspect]) -> Isophotes:
-    raised = {"geometry_unchecked": True}
+    raised = {Flag.GEOMETRY_UNCHECKED: True}
     return Isophotes(aspects, list(raised))
 
 
@@ -173,10 +174,10 @@ def _flags(sample: Aspect, tile: Aspect | None, view_angle_deg: float, stated_sd
     )
     of_view = abs(sample.along) > abs(sample.oblique) and view_angle_by(sample, view_angle_deg) is not None
     raised = {
-        "view_angle_off": is_off(sample) and agree and of_view,
-        "aspect_off": (is_off(sample) and (tile is None or (agree and not of_view)))
+        Flag.VIEW_ANGLE_OFF: is_off(sample) and agree and of_view,
+        Flag.ASPECT_OFF: (is_off(sample) and (tile is None or (agree and not of_view)))
         or (tile is not None and is_off(tile) and not agree),
-        "anisotropic": is_off(sample) and tile is not None and not agree and not is_off(tile),
+        Flag.ANISOTROPIC: is_off(sample) and tile is not None and not agree and not is_off(tile),
     }
     return [flag for flag, is_raised in raised.items() if is_raised]
 

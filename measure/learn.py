@@ -34,6 +34,7 @@ from bssrdf.measure.frame_checks import check_light
 from bssrdf.measure.hdr import Progress
 from bssrdf.measure.levels import Correction, Level, beside, levels_of
 from bssrdf.measure.pixels import places
+from bssrdf.session.flags import Flag
 from bssrdf.session.records import Camera
 
 _MAX_PIXELS = 2_000_000
@@ -106,7 +107,7 @@ def learn_camera(brackets: Sequence[Bracket], camera: Camera, period: int, progr
         estimate = _mean_gain(found.gains)
         gain, gain_rel_sd = estimate or Gain(sensor.gain_e_per_dn, np.nan)  # the first guess
         if estimate is None:
-            flags.append("gain_unknown")
+            flags.append(Flag.GAIN_UNKNOWN)
     read_noise_e = camera.read_noise_e
     if read_noise_e is None:
         read_noise_e = sensor.read_noise_e / sensor.gain_e_per_dn * gain
@@ -120,7 +121,7 @@ def learn_camera(brackets: Sequence[Bracket], camera: Camera, period: int, progr
     names = tuple((frame.kind, frame.label_s) for frame in found.frames)
     corrections = _corrections(names, model, leak, noise_dn)
     flux = {kind: max(level.flux_rel_sd(sensor) for level in levels) for kind, levels in found.levels.items()}
-    flags += ["black_clipped"] if sensor.black_clipped else []
+    flags += [Flag.BLACK_CLIPPED] if sensor.black_clipped else []
     flags += _flags(found, model, corrections, flux)
     return Learnt(
         sensor,
@@ -279,12 +280,12 @@ def _flags(
     shape = np.eye(len(found.frames)) - 1 / max(len(found.frames), 1)
     sd = np.sqrt(np.maximum(np.diag(shape @ model.covariance @ shape), 0))
     raised = {
-        "exposure_labels_off": bool(np.any(np.abs(model.log_scale) > np.maximum(_LABEL_OFF, 3 * sd))),
-        "exposure_ratios_disagree": model.contradiction > _CONTRADICT,
-        "nonlinear": abs(model.bend) > _NONLINEAR,
-        "black_offset": any(any(correction.offset_dn) for correction in corrections.values()),
-        "leak": any(any(correction.leak_dn) for correction in corrections.values()),
-        "moved": found.moved,
-        "drift": max(max(flux.values()), model.lamp_rel_sd) > _DRIFT,
+        Flag.EXPOSURE_LABELS_OFF: bool(np.any(np.abs(model.log_scale) > np.maximum(_LABEL_OFF, 3 * sd))),
+        Flag.EXPOSURE_RATIOS_DISAGREE: model.contradiction > _CONTRADICT,
+        Flag.NONLINEAR: abs(model.bend) > _NONLINEAR,
+        Flag.BLACK_OFFSET: any(any(correction.offset_dn) for correction in corrections.values()),
+        Flag.LEAK: any(any(correction.leak_dn) for correction in corrections.values()),
+        Flag.MOVED: found.moved,
+        Flag.DRIFT: max(max(flux.values()), model.lamp_rel_sd) > _DRIFT,
     }
     return [flag for flag, is_raised in raised.items() if is_raised]

@@ -23,6 +23,7 @@ from bssrdf.measure.slice import SliceOptions, measure_slice
 from bssrdf.measure.total_errors import Timing
 from bssrdf.session.atomic import replace_folder, sha256_of
 from bssrdf.session.constancy import check_constant, with_cards
+from bssrdf.session.flags import Flag
 from bssrdf.session.frames_csv import read_frames
 from bssrdf.session.records import Camera, Frame, FrameKind, Session, Slice
 from bssrdf.session.session_toml import UNNAMED
@@ -69,7 +70,7 @@ def measure_session(
         sample, reference = (_image(kind, merged.images, told.layouts[kind], session) for kind in _KINDS)
         options = SliceOptions(radial, glare, band_mm)
         curve = measure_slice(session, sample, reference, told.timing, told.exposures, options, told.flags)
-        unnamed = ["unnamed"] if session.material and session.material.name == UNNAMED else []
+        unnamed = [Flag.UNNAMED] if session.material and session.material.name == UNNAMED else []
         curve = replace(
             curve,
             flags=tuple(dict.fromkeys((*told.flags, *unnamed, *curve.flags))),
@@ -94,14 +95,14 @@ def _merged(session: Session, listed: Sequence[Frame], hdr_rel_sd: float | None,
     hashes = {frame.file: sha256_of(session.path / frame.file) for frame in listed}
     frames, flags = _without_duplicates(listed, hashes)
     response = session_response(session, frames)
-    flags += ["not_linear"] if response else []
+    flags += [Flag.NOT_LINEAR] if response else []
     every = (bracket_of(kind, session.path, frames, response) for kind in _KINDS)
     brackets: dict[str, Bracket] = {bracket.kind: bracket for bracket in every if bracket.frames}
     images, camera = read_elsewhere(session, frames, hdr_rel_sd)
     learnt, found = None, {}
     if dark := warm_dark(brackets.values()):
-        flags.append("dark_temperature")
-        found["dark_temperature"] = str(dark)
+        flags.append(Flag.DARK_TEMPERATURE)
+        found[Flag.DARK_TEMPERATURE] = str(dark)
     layouts = {kind: layout_of(bracket, session.camera) for kind, bracket in brackets.items()}
     if brackets:
         camera = camera_of(next(iter(brackets.values())), session.camera)
@@ -134,7 +135,7 @@ def _without_duplicates(frames: Sequence[Frame], hashes: Mapping[str, str]) -> t
     """The frames without copies of another: merged twice, noise would look halved."""
     kept = {(frame.kind, frame.exposure_s, hashes[frame.file]): frame for frame in reversed(frames)}
     unique = [frame for frame in frames if frame.kind.endswith("dark") or frame in kept.values()]
-    return unique, ["duplicate_frame"] if len(unique) < len(frames) else []
+    return unique, [Flag.DUPLICATE_FRAME] if len(unique) < len(frames) else []
 
 
 def _of_reference(frames: Sequence[Frame], hashes: Mapping[str, str]) -> str:

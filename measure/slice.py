@@ -9,7 +9,6 @@ import numpy as np
 
 from bssrdf.calib import Exposures, Spot
 from bssrdf.errors import InputError
-from bssrdf.measure.flags import MEANING
 from bssrdf.measure.image import Image, beam_on_sample, beam_on_tile, has_second_spot, locate, spot_radius_mm
 from bssrdf.measure.isophotes import Expected, Isophotes, look_at_isophotes
 from bssrdf.measure.pixels import channel_names
@@ -26,6 +25,7 @@ from bssrdf.measure.reflectance import (
 )
 from bssrdf.measure.tail import Estimate, Surroundings
 from bssrdf.measure.total_errors import Timing, common_errors, speckle_rel_sd, stated_errors
+from bssrdf.session.flags import Flag, meaning_of
 from bssrdf.session.records import TOTAL_R_MAX, ChannelSlice, Geometry, Material, Reference, Session, Slice
 
 _TILE_ETA = 1.35
@@ -39,14 +39,14 @@ _CORE_LOW, _CORE_HIGH = 0.9, 1.4
 """The spot on a tile looks as wide as the beam or somewhat wider: within these its own spread need not be fitted."""
 _SPOT_SD, _SPOT_REL = 3.0, 0.2
 _EXPLAIN = (
-    "drift",
-    "exposure_labels_off",
-    "exposure_ratios_disagree",
-    "black_offset",
-    "nonlinear",
-    "saturated",
-    "white_below_stated",
-    "white_unseen",
+    Flag.DRIFT,
+    Flag.EXPOSURE_LABELS_OFF,
+    Flag.EXPOSURE_RATIOS_DISAGREE,
+    Flag.BLACK_OFFSET,
+    Flag.NONLINEAR,
+    Flag.SATURATED,
+    Flag.WHITE_BELOW_STATED,
+    Flag.WHITE_UNSEEN,
 )
 """Flags of causes that can make an R of a white beyond white."""
 
@@ -119,13 +119,13 @@ def measure_slice(
             seen[totals[channel]] = (channel, (back, incident))
         differ = any(_disagree(side, back.profile, around) for side in profiles.values())
         raised = {
-            "light_lost": max(back.lost_fraction, incident.lost_fraction) > _MUCH_LOST,
-            "slice_radial_disagree": differ and not options.radial,
+            Flag.LIGHT_LOST: max(back.lost_fraction, incident.lost_fraction) > _MUCH_LOST,
+            Flag.SLICE_RADIAL_DISAGREE: differ and not options.radial,
         }
         flags += [flag for flag, is_raised in raised.items() if is_raised]
     tile_rel_sd, mm_rel_sd, view_angle_sd_deg, assumed = stated_errors(tile, geometry)
     flags += assumed
-    isophotes = Isophotes({}, ["geometry_unchecked"])
+    isophotes = Isophotes({}, [Flag.GEOMETRY_UNCHECKED])
     if seen:
         wide = max(radius.value, core_mm)
         brightest = max(seen)
@@ -177,7 +177,7 @@ def _light(
     """
     total = total_light(image, channel, spot, around, glare=False)
     if hidden > 0:
-        return rounded(total, hidden, image, spot), ["coarse_steps"]
+        return rounded(total, hidden, image, spot), [Flag.COARSE_STEPS]
     per_light = per_light or reflects / total.light
     if options.glare:
         return total_light(image, channel, spot, around, glare=True, per_light=per_light), []
@@ -186,14 +186,14 @@ def _light(
         return total, []
     if floor.value > 0:
         total, notable = doubted(total, floor, image, spot)
-        return total, ["glare"] if notable else []
-    return total_light(image, channel, spot, around, glare=True, per_light=per_light), ["black_offset"]
+        return total, [Flag.GLARE] if notable else []
+    return total_light(image, channel, spot, around, glare=True, per_light=per_light), [Flag.BLACK_OFFSET]
 
 
 def _plausible(total: float, channel: str, session: Session, found: Sequence[str]) -> float:
     """The total; InputError, with what was found, where no surface can be as bright, or as dark."""
     if not 0 < total <= TOTAL_R_MAX:
-        told = [MEANING[flag].partition(":")[0] for flag in dict.fromkeys(found) if flag in _EXPLAIN]
+        told = [meaning_of(flag).partition(":")[0] for flag in dict.fromkeys(found) if flag in _EXPLAIN]
         asked = "was the reference lit by the same beam, and is its reflectance right?"
         reason = f"mend what the frames show: {'; '.join(told)}" if told else asked
         raise InputError(
@@ -215,15 +215,15 @@ def _tables(session: Session) -> tuple[Material, Geometry, Reference]:
 
 def _image_flags(session: Session, sample: Image, reference: Image, spots: tuple[Spot, Spot]) -> list[str]:
     raised = {
-        "second_spot": any(has_second_spot(*pair) for pair in zip((sample, reference), spots, strict=True)),
-        "saturated": any(image.is_saturated(c) for image in (sample, reference) for c in sample.channels),
-        "speckle": session.beam.kind == "laser",
+        Flag.SECOND_SPOT: any(has_second_spot(*pair) for pair in zip((sample, reference), spots, strict=True)),
+        Flag.SATURATED: any(image.is_saturated(c) for image in (sample, reference) for c in sample.channels),
+        Flag.SPECKLE: session.beam.kind == "laser",
     }
     return [flag for flag, is_raised in raised.items() if is_raised]
 
 
 def _spot_flags(given_mm: float, on_tile: Estimate) -> list[str]:
-    raised = {"spot_differs": abs(on_tile.value - given_mm) > max(_SPOT_SD * on_tile.sd, _SPOT_REL * given_mm)}
+    raised = {Flag.SPOT_DIFFERS: abs(on_tile.value - given_mm) > max(_SPOT_SD * on_tile.sd, _SPOT_REL * given_mm)}
     return [flag for flag, is_raised in raised.items() if is_raised]
 
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from bssrdf.calib import Exposures
 from bssrdf.measure.reflectance import TotalReflectance
+from bssrdf.session.flags import Flag
 from bssrdf.session.records import Array, Geometry, Reference, Session
 
 _REFLECTANCE_REL_SD = 0.01
@@ -101,9 +102,9 @@ def stated_errors(tile: Reference, geometry: Geometry) -> StatedErrors:
     stated = (tile_rel_sd, geometry.mm_per_px_rel_sd, geometry.view_angle_sd_deg)
     usual = (_REFLECTANCE_REL_SD, _SCALE_REL_SD, _VIEW_ANGLE_SD_DEG)
     raised = {
-        "reflectance_sd_assumed": stated[0] is None,
-        "scale_sd_assumed": stated[1] is None,
-        "view_angle_sd_assumed": stated[2] is None,
+        Flag.REFLECTANCE_SD_ASSUMED: stated[0] is None,
+        Flag.SCALE_SD_ASSUMED: stated[1] is None,
+        Flag.VIEW_ANGLE_SD_ASSUMED: stated[2] is None,
     }
     of_tile, of_mm, of_angle = (b if a is None else a for a, b in zip(stated, usual, strict=True))
     return StatedErrors(of_tile, of_mm, of_angle, [flag for flag, is_raised in raised.items() if is_raised])

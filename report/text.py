@@ -5,8 +5,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
-from bssrdf.fit.flags import MEANING
-from bssrdf.measure import MEANING as MEASURED
+from bssrdf.session.flags import meaning_of
 from bssrdf.session.records import ChannelFit, Fit
 
 if TYPE_CHECKING:
@@ -20,7 +19,7 @@ def fit_text(fit: Fit) -> str:
     raised = {flag: None for channel in fit.channels.values() for flag in channel.flags}
     for flag in raised:
         names = [name for name, channel in fit.channels.items() if flag in channel.flags]
-        lines.append(f"  {', '.join(names)}: {flag}: {MEANING.get(flag, 'raised by measure: see docs/flags.md')}")
+        lines.append(f"  {', '.join(names)}: {flag}: {meaning_of(flag)}")
     return "\n".join(lines)
 
 
@@ -76,7 +75,7 @@ def measured_text(measured: Measured) -> str:
                 f"isophotes of the {image}: {seen['aspect']:.3f} to 1 along the view, ± {seen['aspect_rel_sd']:.3f}: "
                 f"{angle} would make circles of them"
             )
-        lines += [f"{flag}: {MEASURED[flag]}{_value(found.get(flag))}" for flag in measured.slice.flags]
+        lines += [f"{flag}: {meaning_of(flag)}{_value(found.get(flag))}" for flag in measured.slice.flags]
     return "\n".join(lines)
 
 

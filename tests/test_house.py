@@ -8,11 +8,11 @@ import subprocess
 import sys
 import tomllib
 from pathlib import Path
+from typing import get_args
 
 import pytest
 
-from bssrdf.fit import flags as fit_flags
-from bssrdf.measure import flags as measure_flags
+from bssrdf.session.flags import Flag, Stage, flags_table
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -71,26 +71,33 @@ assert dict(jax.config.values) == before
     assert done.returncode == 0, done.stderr
 
 
-@pytest.mark.parametrize(("command", "meaning"), [("measure", measure_flags.MEANING), ("fit", fit_flags.MEANING)])
-def test_flags_are_listed_with_their_meaning(command: str, meaning: dict[str, str]) -> None:
+def test_the_page_of_flags_is_that_of_the_code() -> None:
     page = (ROOT / "docs" / "flags.md").read_text(encoding="utf-8")
-    section = page.split(f"## Raised by `bssrdf {command}`")[1].split("##")[0]
-    listed = re.findall(r"^\| `(\w+)` \| (.+) \|$", section, re.MULTILINE)
-    assert listed == sorted(meaning.items())
+    for stage in get_args(Stage):
+        assert f"## Raised by `bssrdf {stage}`\n{flags_table(stage)}\n" in page
 
 
-def test_every_flag_that_measuring_raises_has_a_meaning() -> None:
-    """Flags are the keys of a dict `raised`, or lone words in a list or an `append`."""
-    names: set[str] = set()
-    for file in (ROOT / "measure").glob("*.py"):
-        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
-            match node:
-                case ast.Assign(targets=[ast.Name(id="raised")], value=ast.Dict(keys=keys)):
-                    names |= {key.value for key in keys if isinstance(key, ast.Constant)}
-                case ast.Call(func=ast.Attribute(attr="append"), args=[ast.Constant(value=str(name))]):
-                    names.add(name)
-                case ast.IfExp(body=ast.List(elts=[ast.Constant(value=str(name))])):
-                    names.add(name)
-                case ast.Return(value=ast.Tuple(elts=[_, ast.List(elts=[ast.Constant(value=str(name))])])):
-                    names.add(name)
-    assert names == set(measure_flags.MEANING)
+def test_every_flag_is_raised_by_the_stage_that_it_names() -> None:
+    for stage in get_args(Stage):
+        files = [*(ROOT / stage).glob("*.py"), *(ROOT / "commands").glob(f"{stage}*.py")]
+        code = "".join(file.read_text(encoding="utf-8") for file in files)
+        raised = {Flag[name] for name in re.findall(r"\bFlag\.([A-Z_]+)\b", code)}
+        assert raised == {flag for flag in Flag if stage in flag.raised_by}
+
+
+def test_no_two_classes_share_a_name() -> None:
+    homes: dict[str, list[str]] = {}
+    for module in tracked_modules():
+        for node in ast.walk(ast.parse((ROOT / module).read_text(encoding="utf-8"))):
+            if isinstance(node, ast.ClassDef):
+                homes.setdefault(node.name, []).append(str(module))
+    assert not {name: files for name, files in homes.items() if len(files) > 1}
+
+
+def test_no_name_behind_a_door_is_that_of_a_module() -> None:
+    """Importing the module would put it in the place of the name."""
+    for init in (module for module in tracked_modules() if module.name == "__init__.py"):
+        block = re.search(r"if TYPE_CHECKING:\n((?:    .*\n)+)", (ROOT / init).read_text(encoding="utf-8"))
+        names = re.findall(r" as (\w+)$", block[1], re.MULTILINE) if block else []
+        beside = {path.stem for path in (ROOT / init).parent.iterdir()}
+        assert not beside & set(names), init

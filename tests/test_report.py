@@ -10,11 +10,11 @@ from dataclasses import replace
 
 import pytest
 
-from bssrdf.fit.flags import MEANING
 from bssrdf.report.progress import stages, steps
 from bssrdf.report.repeats import combine
 from bssrdf.report.table import fits_table, format_rows
 from bssrdf.report.text import fit_text
+from bssrdf.session.flags import Flag
 from bssrdf.session.records import ChannelFit, Fit
 
 CHANNEL = ChannelFit(
@@ -96,7 +96,7 @@ def test_a_fit_in_words_shows_no_number_that_must_not_be_used(status: str, shown
 def test_each_flag_is_explained_once_with_its_channels() -> None:
     flagged = replace(CHANNEL, flags=("poor_fit",))
     text = fit_text(replace(FIT, channels={"R": flagged, "G": CHANNEL, "B": flagged}))
-    assert text.count(MEANING["poor_fit"]) == 1
+    assert text.count(Flag.POOR_FIT.meaning) == 1
     assert "R, B: poor_fit" in text
 
 
