@@ -44,7 +44,7 @@ def measure(session: Path, **options: Any) -> None:
 @click.argument("inputs", nargs=-1, required=True, type=FOLDER, metavar="SESSION_OR_SLICE...")
 def views(inputs: tuple[Path, ...]) -> None:
     """Hold slices of one sample under several view angles against each other: do they follow the exit law?"""
-    from bssrdf.commands.files import slice_file
+    from bssrdf.commands.fit_files import slice_file
     from bssrdf.report import views_text
     from bssrdf.session.slice_csv import read_slice
 
