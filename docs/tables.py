@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import MISSING
 from pathlib import Path
 
-from bssrdf.rig.plan_toml import Exposures, Plan
+from bssrdf.rig.plan_toml import ExposurePlan, Plan
 from bssrdf.session.keys import Declared, keys_of
 from bssrdf.session.records import ChannelFit
 from bssrdf.session.session_toml import TABLES
@@ -31,7 +31,7 @@ def _table(name: str) -> str:
         return "".join(["| key | meaning |\n|---|---|\n", *rows])
     tables: dict[str, Mapping[str, Mapping[str, Declared]]] = {
         "session.toml": {f"[{table}] ": keys_of(record) for table, record in TABLES.items()},
-        "plan.toml": {"": keys_of(Plan), "[exposures] ": keys_of(Exposures)},
+        "plan.toml": {"": keys_of(Plan), "[exposures] ": keys_of(ExposurePlan)},
         "slice.csv": {"": HEADER},
     }
     return _HEAD + "".join(row for table, keys in tables[name].items() for row in _rows(table, keys))

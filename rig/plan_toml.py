@@ -22,7 +22,7 @@ _TIME = Range(above=0, at_most=3600)
 
 
 @dataclass(frozen=True)
-class Exposures:
+class ExposurePlan:
     """`[exposures]` of plan.toml: one of three ways to say which."""
 
     list_s: Annotated[tuple[float, ...] | None, Key("these exposure times", _TIME, unique=True)] = None
@@ -59,7 +59,7 @@ def read_plan(file: Path) -> CapturePlan:
     known_keys(file, "", document, [*keys_of(CapturePlan), "material", "exposures"])
     tables = {name: _table(file, document, name) for name in ("material", "exposures")}
     material = records_of(file, {"material": checked_table(file, "material", tables["material"])}, ())["material"]
-    exposures = _exposures(file, checked_keys(file, "[exposures] ", tables["exposures"], Exposures))
+    exposures = _exposures(file, checked_keys(file, "[exposures] ", tables["exposures"], ExposurePlan))
     top = checked_keys(file, "", document, CapturePlan)
     return CapturePlan(material, list_s=exposures, **top)
 
