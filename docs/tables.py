@@ -1,4 +1,4 @@
-"""Write the tables of keys in the documents anew, from the fields that declare them: `make docs-tables`."""
+"""Write the tables of keys and flags in the documents anew, from where they are declared: `make docs-tables`."""
 
 from __future__ import annotations
 
@@ -7,7 +7,8 @@ from collections.abc import Iterator, Mapping
 from dataclasses import MISSING
 from pathlib import Path
 
-from bssrdf.rig.plan_toml import ExposurePlan, Plan
+from bssrdf.rig.plan_toml import CapturePlan, ExposurePlan
+from bssrdf.session.flags import Flag
 from bssrdf.session.keys import Declared, keys_of
 from bssrdf.session.records import ChannelFit
 from bssrdf.session.session_toml import TABLES
@@ -15,7 +16,7 @@ from bssrdf.session.slice_csv import HEADER
 from bssrdf.session.text_file import toml_value
 
 ROOT = Path(__file__).parents[1]
-PLACE = re.compile(r"(<!-- keys of (.+?), by `make docs-tables` -->\n).*?(<!-- end of keys -->)", re.DOTALL)
+PLACE = re.compile(r"(<!-- ((?:keys|flags) of .+?), by `make docs-tables` -->\n).*?(<!-- end -->)", re.DOTALL)
 """Where a table stands, with its name."""
 _HEAD = "| key | meaning | values | if not given |\n|---|---|---|---|\n"
 
@@ -26,12 +27,22 @@ def written_anew(text: str) -> str:
 
 
 def _table(name: str) -> str:
+    what, _, name = name.partition(" of ")
+    return _keys(name) if what == "keys" else _flags(name)
+
+
+def _flags(stage: str) -> str:
+    rows = (f"| `{flag}` | {flag.meaning} |\n" for flag in Flag if stage in flag.raised_by)
+    return "".join(["| flag | meaning |\n|---|---|\n", *rows])
+
+
+def _keys(name: str) -> str:
     if name == "fit.json":
         rows = (f"| `{key.name}` | {key.meaning} |\n" for key in keys_of(ChannelFit).values())
         return "".join(["| key | meaning |\n|---|---|\n", *rows])
     tables: dict[str, Mapping[str, Mapping[str, Declared]]] = {
         "session.toml": {f"[{table}] ": keys_of(record) for table, record in TABLES.items()},
-        "plan.toml": {"": keys_of(Plan), "[exposures] ": keys_of(ExposurePlan)},
+        "plan.toml": {"": keys_of(CapturePlan), "[exposures] ": keys_of(ExposurePlan)},
         "slice.csv": {"": HEADER},
     }
     return _HEAD + "".join(row for table, keys in tables[name].items() for row in _rows(table, keys))

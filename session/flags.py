@@ -272,9 +272,3 @@ class Flag(StrEnum):
 def meaning_of(word: str) -> str:
     """What a flag means; one that this version does not know says so."""
     return next((flag.meaning for flag in Flag if flag == word), "not a flag of this version")
-
-
-def flags_table(stage: Stage) -> str:
-    """The flags of a stage as a Markdown table."""
-    rows = [f"| `{flag}` | {flag.meaning} |" for flag in Flag if stage in flag.raised_by]
-    return "\n".join(["| flag | meaning |", "|---|---|", *rows])
