@@ -89,10 +89,55 @@ def test_a_black_backing_passes_nothing_on_and_reflects_as_a_matched_one():
     assert black.total_r() == matched.total_r()
 
 
+def test_a_diffuse_back_adds_what_passes_to_and_fro_under_the_slab():
+    """R + T ρ t/(1 − ρ r): r and t are the slab's for diffuse light, here by incidence, η = 1."""
+    slab, rho = {"sigma_a": 0.05, "sigma_s": 1.0, "g": 0.5, "thickness_mm": 2.0}, 0.8
+    nodes, weights = np.polynomial.legendre.leggauss(5)
+    tallies = [
+        simulate(
+            MonteCarloMedium(**slab, backing="matched"),
+            Beam(incidence_deg=float(np.degrees(np.arccos(np.sqrt((1 + node) / 2))))),
+            r_edges_mm=[0, 1],
+            n_photons=30_000,
+            seed=20,
+        )
+        for node in nodes
+    ]
+    r = sum(w / 2 * tally.total_r()[0] for w, tally in zip(weights, tallies, strict=True))
+    t = sum(w / 2 * tally.total_t()[0] for w, tally in zip(weights, tallies, strict=True))
+    bare = simulate(MonteCarloMedium(**slab, backing="matched"), r_edges_mm=[0, 1], n_photons=60_000, seed=21)
+    backed, error = simulate(
+        MonteCarloMedium(**slab, backing=rho), r_edges_mm=[0, 1], n_photons=120_000, seed=22
+    ).total_r()
+    expected = bare.total_r()[0] + bare.total_t()[0] * rho * t / (1 - rho * r)
+    assert backed == pytest.approx(expected, abs=4 * np.hypot(error, 0.003))
+
+
+def test_a_smooth_wall_keeps_light_that_a_black_one_takes_and_one_without_contrast_is_black():
+    def total(wall, eta):
+        medium = MonteCarloMedium(0.02, 1.0, 0.0, eta, width_mm=8.0, wall=wall)
+        return simulate(medium, r_edges_mm=[0, 1], n_photons=60_000, seed=23).total_r()
+
+    (air, air_error), (black, _) = total("air", 1.4), total("black", 1.4)
+    assert air > black + 5 * air_error
+    (alike, error), (other, other_error) = total("air", 1.0), total("black", 1.0)
+    assert abs(alike - other) < 4 * np.hypot(error, other_error)
+
+
+def test_no_light_leaves_the_surface_beyond_the_wall():
+    medium = MonteCarloMedium(0.0, 1.0, 0.0, 1.4, 6.0, "air", 8.0, "air")
+    tally = simulate(medium, r_edges_mm=[0, 4.0 + 1e-9], n_photons=4000, seed=24)
+    assert tally.scores[:, :, :, -1].sum() == 0
+    assert tally.scores.sum() > 0
+
+
 def test_all_light_is_somewhere_without_absorption():
     tally = simulate(MonteCarloMedium(0.0, 1.0, 0.3, 1.4, 3.0, "matched"), r_edges_mm=[0, 1], n_photons=20_000, seed=4)
     assert tally.total_r()[0] + tally.total_t()[0] == pytest.approx(1, abs=4 * tally.total_r()[1])
     assert tally.lost == 0
+    under_air = simulate(MonteCarloMedium(0.0, 1.0, 0.3, 1.4, 3.0, "air"), r_edges_mm=[0, 1], n_photons=20_000, seed=4)
+    assert under_air.total_r()[0] + under_air.total_t()[0] == pytest.approx(1, abs=4 * under_air.total_r()[1])
+    assert under_air.total_r()[0] > tally.total_r()[0]
 
 
 @pytest.mark.parametrize(
@@ -255,6 +300,10 @@ def test_ctrl_c_before_anything_is_finished_goes_on():
         ({"sigma_a": float("nan")}, "sigma_a = nan"),
         ({"sigma_a": -0.1}, "sigma_a = -0.1"),
         ({"thickness_mm": 0.0}, "thickness_mm = 0.0"),
+        ({"thickness_mm": 1.0, "backing": 1.0}, "backing = 1.0"),
+        ({"thickness_mm": 1.0, "backing": "glass"}, "backing = glass"),
+        ({"width_mm": -1.0}, "width_mm = -1.0"),
+        ({"width_mm": 9.0, "wall": "white"}, "wall = white"),
     ],
 )
 def test_an_impossible_medium_is_refused_by_value(arguments, value):

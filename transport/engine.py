@@ -20,7 +20,7 @@ from bssrdf.transport.discrete_ordinates import decay_constant
 from bssrdf.transport.exit_radiance import MAX_ANGLE_DEG, N_MU, angle_weights
 from bssrdf.transport.parallel import Progress, run_all
 from bssrdf.transport.photon import CACHE_LINES, stream_states
-from bssrdf.transport.walk import walk
+from bssrdf.transport.walk import Vessel, walk
 
 Floats = NDArray[np.float64]
 
@@ -31,7 +31,7 @@ CHUNK = 500
 
 @dataclass(frozen=True)
 class MonteCarloMedium:
-    """A half space, or a slab if `thickness_mm` is given, under a smooth surface."""
+    """A half space under a smooth surface, a slab if `thickness_mm` is given, a round dish if `width_mm` is."""
 
     sigma_a: float
     sigma_s: float
@@ -40,8 +40,12 @@ class MonteCarloMedium:
     """Mean cosine of the Henyey–Greenstein phase function."""
     eta: float = 1.0
     thickness_mm: float | None = None
-    backing: Literal["black", "matched"] = "black"
-    """Under a slab: black takes in all light that arrives, matched lets it pass on for good (and counts it)."""
+    backing: Literal["black", "matched", "air"] | float = "black"
+    """Under a slab: black takes in all light that arrives, matched lets it pass on for good (and counts it), air is a
+    smooth surface (what passes it counts too), a number the share of light that comes back diffusely."""
+    width_mm: float | None = None
+    """Inner diameter of a round dish about the beam."""
+    wall: Literal["black", "air"] = "black"
 
     def __post_init__(self) -> None:
         _require(0 <= self.sigma_a < math.inf, "sigma_a", self.sigma_a, "give a finite value of at least 0 [1/mm]")
@@ -50,7 +54,16 @@ class MonteCarloMedium:
         _require(1 <= self.eta < 10, "eta", self.eta, "give an index of at least 1 (inside over outside)")
         if self.thickness_mm is not None:
             _require(0 < self.thickness_mm < math.inf, "thickness_mm", self.thickness_mm, "give a value above 0")
-        _require(self.backing in ("black", "matched"), "backing", self.backing, 'give "black" or "matched"')
+        diffuse = isinstance(self.backing, int | float) and 0 <= self.backing < 1
+        _require(
+            diffuse or self.backing in ("black", "matched", "air"),
+            "backing",
+            self.backing,
+            'give "black", "matched", "air", or a diffuse reflectance from 0 to below 1',
+        )
+        if self.width_mm is not None:
+            _require(0 < self.width_mm < math.inf, "width_mm", self.width_mm, "give a value above 0")
+        _require(self.wall in ("black", "air"), "wall", self.wall, 'give "black" or "air"')
 
     @classmethod
     def reduced(
@@ -64,6 +77,18 @@ class MonteCarloMedium:
     def sigma_t(self) -> float:
         """Extinction coefficient σt."""
         return self.sigma_a + self.sigma_s
+
+    @property
+    def vessel(self) -> Vessel:
+        """What holds it, in mean free paths 1/σt."""
+        named: dict[object, float] = {"black": 0.0, "matched": 0.0, "air": -1.0}
+        back = named[self.backing] if isinstance(self.backing, str) else self.backing
+        return Vessel(
+            math.inf if self.thickness_mm is None else self.thickness_mm * self.sigma_t,
+            float(back),
+            math.inf if self.width_mm is None else self.width_mm / 2 * self.sigma_t,
+            self.wall == "black",
+        )
 
 
 @dataclass(frozen=True)
@@ -116,8 +141,8 @@ class Tally:
         return float(value), float(error)
 
     def total_t(self) -> tuple[float, float]:
-        """Share of the light that passes a slab into a matched backing, the unscattered included, and its error."""
-        if self.medium.backing == "black":
+        """Share of the light that passes a slab into what is under it, the unscattered included, and its error."""
+        if self.medium.backing not in ("matched", "air"):
             return 0.0, 0.0
         value, error = _mean_se(self.scores[:, 1].sum((1, 2, 3)))
         return float(value), float(error)
@@ -195,7 +220,6 @@ def _batch(
     scores = np.zeros((2, 3, edges_mm.size, N_MU))
     paths = np.zeros((2, edges_mm.size))
     counts = np.zeros(CACHE_LINES)[:3]
-    depth = math.inf if medium.thickness_mm is None else medium.thickness_mm * sigma_t
     for start in range(0, n_photons, CHUNK):
         if stop.is_set():
             return None
@@ -205,7 +229,7 @@ def _batch(
             medium.sigma_s / sigma_t,
             medium.g,
             medium.eta,
-            depth,
+            medium.vessel,
             beam.radius_mm * sigma_t,
             math.sin(math.radians(beam.incidence_deg)),
             decay_constant(medium.sigma_s / sigma_t, medium.g),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
@@ -28,6 +29,18 @@ FOLLOW = 0.85
 """How closely the weights follow the light's own decay: 1 would spend most time far out."""
 STACK = 4096
 """Room for copies that wait; when it is full, photons are no longer split."""
+NO_FACE, TOP, BACK, WALL = -1, 0, 1, 2
+
+
+class Vessel(NamedTuple):
+    """What holds the medium, lengths in mean free paths; infinite where there is nothing."""
+
+    depth: float
+    back: float
+    """Share of light that the back sends back diffusely; below 0 a smooth surface to air."""
+    wall: float
+    """Radius of an upright cylinder about the beam."""
+    wall_is_black: bool
 
 
 @njit(inline="always")
@@ -39,6 +52,38 @@ def target_weight(kappa: float, r_max: float, rho: float, z: float) -> float:
     return math.exp(-FOLLOW * kappa * (rho - 2.0 * max(rho - r_max, 0.0) - 0.5 * z))
 
 
+@njit(inline="always")
+def to_wall(x: float, y: float, ux: float, uy: float, radius: float) -> float:
+    """Way to the cylinder from a point inside."""
+    across2 = ux * ux + uy * uy
+    if across2 < 1e-18:
+        return math.inf
+    outwards = x * ux + y * uy
+    room = max(radius * radius - x * x - y * y, 0.0)
+    return (math.sqrt(outwards * outwards + across2 * room) - outwards) / across2
+
+
+@njit(inline="always")
+def at_wall(
+    state: State, eta: float, x: float, y: float, ux: float, uy: float, uz: float
+) -> tuple[bool, float, float, float]:
+    """Whether light stays inside a smooth wall to air that it meets at (x, y), and its direction then."""
+    rho = math.sqrt(x * x + y * y)
+    nx, ny = x / rho, y / rho
+    outwards = ux * nx + uy * ny
+    reflected, _ = reflectance_inside(eta, min(abs(outwards), 1.0))
+    return uniform(state) < reflected, ux - 2.0 * outwards * nx, uy - 2.0 * outwards * ny, uz
+
+
+@njit(inline="always")
+def lambertian(state: State) -> tuple[float, float, float]:
+    """A direction upwards, as a diffuse back sends light."""
+    cos_a, sin_a = azimuth(state)
+    across2 = uniform(state)
+    across = math.sqrt(across2)
+    return across * cos_a, across * sin_a, -math.sqrt(1.0 - across2)
+
+
 @njit(nogil=True, cache=True)
 def walk(
     n_photons: int,
@@ -46,7 +91,7 @@ def walk(
     albedo: float,
     g: float,
     eta: float,
-    depth: float,
+    vessel: Vessel,
     radius: float,
     sin_incidence: float,
     kappa: float,
@@ -92,25 +137,46 @@ def walk(
             d = free_path(state)
             alive = True
             while True:
+                face, b = NO_FACE, d
                 to_z = z + d * uz
-                if to_z >= 0.0 and to_z <= depth:
+                if to_z < 0.0:
+                    face, b = TOP, -z / uz
+                elif to_z > vessel.depth:
+                    face, b = BACK, (vessel.depth - z) / uz
+                if vessel.wall < math.inf:
+                    aside = to_wall(x, y, ux, uy, vessel.wall)
+                    if aside < b:
+                        face, b = WALL, aside
+                if face == NO_FACE:
                     break
-                wall = 0.0 if to_z < 0.0 else depth
-                b = (wall - z) / uz
                 x += ux * b
                 y += uy * b
-                z = wall
                 path += b
                 d -= b
-                reflected, mu, side = 0.0, uz, 1
-                if to_z < 0.0:
-                    side = 0
-                    reflected, mu = reflectance_inside(eta, -uz)
+                if face == WALL:
+                    z += uz * b
+                    alive = not vessel.wall_is_black
+                    if alive:
+                        alive, ux, uy, uz = at_wall(state, eta, x, y, ux, uy, uz)
+                    if not alive:
+                        break
+                    continue
+                z = 0.0 if face == TOP else vessel.depth
+                if face == BACK and vessel.back > 0.0:
+                    alive = uniform(state) < vessel.back
+                    if not alive:
+                        break
+                    ux, uy, uz = lambertian(state)
+                    n += 1
+                    continue
+                reflected, mu = 0.0, uz
+                if face == TOP or vessel.back < 0.0:
+                    reflected, mu = reflectance_inside(eta, abs(uz))
                 if reflected < 1.0:
                     out = weight * (1.0 - reflected)
                     i = bin_of(edges, math.sqrt(x * x + y * y))
-                    scores[side, min(n, 2), i, min(int(mu * mu * N_MU), N_MU - 1)] += out
-                    paths[side, i] += out * path
+                    scores[face, min(n, 2), i, min(int(mu * mu * N_MU), N_MU - 1)] += out
+                    paths[face, i] += out * path
                     if uniform(state) >= reflected:
                         alive = False
                         break

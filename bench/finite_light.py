@@ -1,0 +1,187 @@
+"""The light on which fits of finite samples are put to trial: the engine's absorbing walks of slabs and dishes.
+
+No table and no ratio of diffusion: each sample is walked by its own coefficients. `python -m bssrdf.bench.finite_light`
+makes the file that ships, or goes on with it. Lengths in mm, coefficients in 1/mm.
+"""
+
+from __future__ import annotations
+
+import functools
+import sys
+from dataclasses import dataclass
+from importlib.resources import as_file, files
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bssrdf.session.atomic import atomic_write
+from bssrdf.transport.engine import MonteCarloMedium, simulate
+from bssrdf.transport.materials import find_material
+
+Floats = NDArray[np.float64]
+
+FILE = "finite_light.npz"
+"""Beside this module."""
+MEDIA = (("Whole milk", "R"), ("Skim milk", "R"), ("Marble", "G"), ("Skin1", "G"), ("Chicken1", "G"))
+"""From a total of 0.91 to one of 0.2."""
+DEPTHS_MFP = (2.0, 3.0, 4.0, 6.0, 8.0, 16.0, 32.0)
+BACKS: tuple[float | str, ...] = (0.0, 0.9, "air")
+DISHES_MM = (30.0, 50.0, 80.0)
+DISH_DEPTH_MM = 20.0
+EDGES_MFP = np.concatenate([[0.0], np.geomspace(0.5, 24.0, 25)])
+PHOTONS_A_ROUND = 100_000
+SEED = 51_000
+
+
+@dataclass(frozen=True)
+class Case:
+    """A medium in what holds it."""
+
+    material: str
+    channel: str
+    depth_mm: float
+    back: float | str
+    g: float = 0.0
+    width_mm: float | None = None
+    wall: str = "black"
+
+    @property
+    def name(self) -> str:
+        vessel = "" if self.width_mm is None else f" in {self.width_mm:g} mm {self.wall}"
+        return f"{self.material} {self.channel} g {self.g:g}: {self.depth_mm:.6g} mm on {self.back}{vessel}"
+
+    @property
+    def eta(self) -> float:
+        return find_material(self.material).eta
+
+    @property
+    def coefficients(self) -> tuple[float, float]:
+        """(σa, σs′)."""
+        medium = find_material(self.material).medium(self.channel)
+        return float(medium.sigma_a), float(medium.sigma_sp)
+
+    @property
+    def depth_mfp(self) -> float:
+        """τ′ = σt′ d."""
+        return self.depth_mm * sum(self.coefficients)
+
+    @property
+    def edges_mm(self) -> Floats:
+        """Of the annuli: those within the wall."""
+        edges = EDGES_MFP / sum(self.coefficients)
+        return edges if self.width_mm is None else edges[edges <= self.width_mm / 2]
+
+    @property
+    def medium(self) -> MonteCarloMedium:
+        sigma_a, sigma_sp = self.coefficients
+        return MonteCarloMedium(
+            sigma_a,
+            sigma_sp / (1 - self.g),
+            self.g,
+            self.eta,
+            self.depth_mm,
+            self.back,  # type: ignore[arg-type]
+            self.width_mm,
+            self.wall,  # type: ignore[arg-type]
+        )
+
+
+@dataclass(frozen=True)
+class FiniteLight:
+    """R_d and R per unit entering flux, with standard errors, by annulus of the case's `edges_mm`."""
+
+    rd: Floats
+    rd_se: Floats
+    total: float
+    total_se: float
+    photons: int
+
+
+def slabs() -> list[Case]:
+    """Five media by seven depths and three backs; and one of forward scattering by depth."""
+    found = []
+    for material, channel in MEDIA:
+        sigma_tp = sum(Case(material, channel, 1.0, 0.0).coefficients)
+        found += [Case(material, channel, tau / sigma_tp, back) for tau in DEPTHS_MFP for back in BACKS]
+    sigma_tp = sum(Case("Skim milk", "R", 1.0, 0.0).coefficients)
+    found += [Case("Skim milk", "R", tau / sigma_tp, back, 0.8) for tau in (8.0, 16.0) for back in (0.0, 0.9)]
+    return found
+
+
+def dishes() -> list[Case]:
+    """Skim milk in cups."""
+    return [
+        Case("Skim milk", "R", DISH_DEPTH_MM, 0.0, 0.0, width_mm, wall)
+        for width_mm in DISHES_MM
+        for wall in ("black", "air")
+    ]
+
+
+def more(case: Case, so_far: FiniteLight | None, photons: int, seed: int) -> FiniteLight:
+    """The light with that many photons more."""
+    tally = simulate(case.medium, r_edges_mm=case.edges_mm, n_photons=photons, seed=seed, n_threads=1)
+    new = FiniteLight(*tally.rd(), *tally.total_r(), tally.n_photons)
+    if so_far is None:
+        return new
+    a, b = (each.photons / (so_far.photons + new.photons) for each in (so_far, new))
+    return FiniteLight(
+        a * so_far.rd + b * new.rd,
+        np.hypot(a * so_far.rd_se, b * new.rd_se),
+        a * so_far.total + b * new.total,
+        float(np.hypot(a * so_far.total_se, b * new.total_se)),
+        so_far.photons + new.photons,
+    )
+
+
+@functools.cache
+def shipped() -> dict[str, FiniteLight]:
+    """The light that ships, by the name of its case."""
+    with as_file(files("bssrdf.bench") / FILE) as path:
+        return _read(path)
+
+
+def make(path: Path, rounds: int = 10) -> None:
+    """Walk on with every case until it has had `rounds`; a round of all takes one core about four minutes."""
+    lights = _read(path) if path.exists() else {}
+    for number in range(1, rounds + 1):
+        for at, case in enumerate([*slabs(), *dishes()]):
+            light = lights.get(case.name)
+            if light is None or light.photons < number * PHOTONS_A_ROUND:
+                lights[case.name] = more(case, light, PHOTONS_A_ROUND, SEED + 1000 * number + at)
+                print(f"{number} {case.name}: R {lights[case.name].total:.4f}", file=sys.stderr)
+        _write(path, lights)
+
+
+def _write(path: Path, lights: dict[str, FiniteLight]) -> None:
+    rows, size = list(lights.values()), EDGES_MFP.size - 1
+    with atomic_write(path) as part, part.open("wb") as stream:
+        np.savez_compressed(
+            stream,
+            names=np.array(list(lights)),
+            rd=np.stack([np.pad(each.rd, (0, size - each.rd.size)) for each in rows]).astype(np.float32),
+            rd_se=np.stack([np.pad(each.rd_se, (0, size - each.rd.size)) for each in rows]).astype(np.float32),
+            total=np.array([each.total for each in rows]),
+            total_se=np.array([each.total_se for each in rows]),
+            photons=np.array([each.photons for each in rows]),
+            n=np.array([each.rd.size for each in rows]),
+        )
+
+
+def _read(path: Path) -> dict[str, FiniteLight]:
+    with np.load(path, allow_pickle=False) as content:
+        stored = {key: content[key] for key in content.files}
+    return {
+        name: FiniteLight(
+            stored["rd"][row, : stored["n"][row]].astype(float),
+            stored["rd_se"][row, : stored["n"][row]].astype(float),
+            float(stored["total"][row]),
+            float(stored["total_se"][row]),
+            int(stored["photons"][row]),
+        )
+        for row, name in enumerate(stored["names"].tolist())
+    }
+
+
+if __name__ == "__main__":
+    make(Path(__file__).parent / FILE, *map(int, sys.argv[1:]))
