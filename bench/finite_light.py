@@ -23,7 +23,7 @@ Floats = NDArray[np.float64]
 
 FILE = "finite_light.npz"
 """Beside this module."""
-MEDIA = (("Whole milk", "R"), ("Skim milk", "R"), ("Marble", "G"), ("Skin1", "G"), ("Chicken1", "G"))
+MEDIA = (("Wholemilk", "R"), ("Skimmilk", "R"), ("Marble", "G"), ("Skin1", "G"), ("Chicken1", "G"))
 """From a total of 0.91 to one of 0.2."""
 DEPTHS_MFP = (2.0, 3.0, 4.0, 6.0, 8.0, 16.0, 32.0)
 BACKS: tuple[float | str, ...] = (0.0, 0.9, "air")
@@ -104,15 +104,15 @@ def slabs() -> list[Case]:
     for material, channel in MEDIA:
         sigma_tp = sum(Case(material, channel, 1.0, 0.0).coefficients)
         found += [Case(material, channel, tau / sigma_tp, back) for tau in DEPTHS_MFP for back in BACKS]
-    sigma_tp = sum(Case("Skim milk", "R", 1.0, 0.0).coefficients)
-    found += [Case("Skim milk", "R", tau / sigma_tp, back, 0.8) for tau in (8.0, 16.0) for back in (0.0, 0.9)]
+    sigma_tp = sum(Case("Skimmilk", "R", 1.0, 0.0).coefficients)
+    found += [Case("Skimmilk", "R", tau / sigma_tp, back, 0.8) for tau in (8.0, 16.0) for back in (0.0, 0.9)]
     return found
 
 
 def dishes() -> list[Case]:
     """Skim milk in cups."""
     return [
-        Case("Skim milk", "R", DISH_DEPTH_MM, 0.0, 0.0, width_mm, wall)
+        Case("Skimmilk", "R", DISH_DEPTH_MM, 0.0, 0.0, width_mm, wall)
         for width_mm in DISHES_MM
         for wall in ("black", "air")
     ]
