@@ -156,7 +156,7 @@ def change(e: Engine, dish: bool, sample: Sample, top: Top, log_sigma: Any, q: A
     if not dish:
         return of_back
     of_wall = _of_wall(e, sample, top, tau, sigma * sample.radius_mm, q, r / sample.radius_mm)
-    return tuple(a + b for a, b in zip(of_back, of_wall, strict=True))  # type: ignore[return-value]
+    return tuple(a + b for a, b in zip(of_back, of_wall, strict=True))
 
 
 def total_ratio(e: Engine, dish: bool, sample: Sample, top: Top, log_sigma: Any, q: Any) -> Look:
