@@ -46,7 +46,7 @@ def test_curves_from_elsewhere_are_converted_and_fitted(
     assert marble["window_mm"] == pytest.approx([1 / 2.62, 24 / 2.62], rel=0.1)
 
 
-def test_tables_of_keys_say_what_the_fields_declare() -> None:
+def test_tables_of_keys_and_flags_say_what_is_declared() -> None:
     """`make docs-tables` writes them."""
     tables = runpy.run_path(str(ROOT / "docs" / "tables.py"))
     named = []
@@ -54,7 +54,8 @@ def test_tables_of_keys_say_what_the_fields_declare() -> None:
         text = page.read_text(encoding="utf-8")
         assert tables["written_anew"](text) == text, page.name
         named += [name for _, name, _ in tables["PLACE"].findall(text)]
-    assert sorted(named) == ["fit.json", "plan.toml", "session.toml", "slice.csv"]
+    keys = [f"keys of {file}" for file in ("fit.json", "plan.toml", "session.toml", "slice.csv")]
+    assert sorted(named) == ["flags of fit", "flags of measure", *keys]
 
 
 @pytest.mark.parametrize("page", sorted({*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")}), ids=lambda p: p.name)
