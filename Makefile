@@ -18,6 +18,7 @@ check: .venv/installed
 	$(BIN)/ruff check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+	$(BIN)/python tests/words.py
 
 bench: .venv/installed
 	$(BIN)/bssrdf bench fit

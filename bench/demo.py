@@ -173,7 +173,7 @@ def _command(*arguments: object) -> str:
 
 
 def table_lines(cells: Sequence[DemoCell]) -> list[str]:
-    """One line a channel: published, recovered by the table model, its error and interval; the dipole's error."""
+    """One line per channel: published, recovered by the table model, its error and interval; the dipole's error."""
     found = {(cell.material, cell.channel, cell.quantity, cell.model): cell for cell in cells}
     head = ["material", ""]
     for symbol in ("σs′", "σa"):

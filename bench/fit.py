@@ -196,7 +196,9 @@ def _draw(path: Path, scores: list[FitScore]) -> None:
 
     figure = Figure(figsize=(7, 4.5), layout="constrained")
     FigureCanvasAgg(figure)
-    axes = figure.add_subplot(xscale="log", yscale="log", xlabel="time a fit, s", ylabel="median relative error of σa")
+    axes = figure.add_subplot(
+        xscale="log", yscale="log", xlabel="time per fit, s", ylabel="median relative error of σa"
+    )
     for score in scores:
         axes.plot(1 / score.fits_per_second, score.sigma_a_median, "o")
         axes.annotate(

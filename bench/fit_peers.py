@@ -83,7 +83,7 @@ def scipy_exact(problem: PeerProblem, ratio: np.ndarray) -> PeerFit:
 
 
 def scipy_soft(problem: PeerProblem) -> PeerFit:
-    """`least_squares` in (ln σa, ln σs′), with R as one datum more."""
+    """`least_squares` in (ln σa, ln σs′), with R as one additional datum."""
 
     def fit(row: int, a: float) -> Found:
         def rest(x: np.ndarray) -> np.ndarray:

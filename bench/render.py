@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bssrdf.bench.render_cases import MATERIALS, METHODS, REFERENCE, Case, cases
+from bssrdf.bench.render_cases import MATERIALS, METHODS, REFERENCE, RenderCase, cases
 from bssrdf.bench.render_results import KNOWN, CaseResult, ResultRow, write_results
 from bssrdf.bench.render_truth import cut_share, sky_radiance
 from bssrdf.errors import UsageError
@@ -71,7 +71,7 @@ def run_render_bench(
     return results
 
 
-def measure(case: Case, effort: Effort) -> CaseResult:
+def measure(case: RenderCase, effort: Effort) -> CaseResult:
     """All methods in turns, then the reference."""
     stages, compile_s = {}, {}
     for method in case.methods:
@@ -117,7 +117,7 @@ def _relative_se(images: Floats) -> Floats:
     return np.asarray(means.std(axis=0, ddof=1) / math.sqrt(len(means)) / np.maximum(means.mean(axis=0), 1e-30))
 
 
-def _row(case: Case, method: str, images: Floats, reference: Floats) -> ResultRow:
+def _row(case: RenderCase, method: str, images: Floats, reference: Floats) -> ResultRow:
     """Without its times."""
     mean = images.mean(axis=(0, 1, 2))
     ratio = mean / reference.mean(axis=(0, 1, 2))
@@ -153,7 +153,7 @@ def _bias(images: Floats, reference: Floats) -> float:
     return float(((np.square(images.mean(axis=0) - target) - noise) / denominator).mean())
 
 
-def _cut(case: Case, effort: Effort, reference: Floats) -> tuple[float, ...]:
+def _cut(case: RenderCase, effort: Effort, reference: Floats) -> tuple[float, ...]:
     """From what half the depth loses, with the same seeds and hence the same paths."""
     half = load_stage(case.scene, replace(METHODS[REFERENCE], mc_depth=effort.mc_depth // 2))
     count = _samples(REFERENCE, effort)
@@ -168,7 +168,7 @@ def _albedo(material: RenderMaterial) -> list[float]:
     return [s / (s + a) for a, s in zip(material.sigma_a, material.sigma_s, strict=True)]
 
 
-def _known(case: Case) -> dict[str, tuple[float, ...]]:
+def _known(case: RenderCase) -> dict[str, tuple[float, ...]]:
     if case.scene_name != "slab, sky":
         return {}
     material = find_medium(case.material)

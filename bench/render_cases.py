@@ -26,7 +26,7 @@ REFERENCE = "mc"
 
 
 @dataclass(frozen=True)
-class Case:
+class RenderCase:
     """A scene of one material, and the methods that can render it."""
 
     scene_name: str
@@ -39,7 +39,7 @@ class Case:
 
 def cases(
     pixels: int, *, materials: tuple[str, ...] = MATERIALS, only: tuple[str, ...] | None = None
-) -> Iterator[Case]:
+) -> Iterator[RenderCase]:
     """Every scene of every material, at `pixels` a side; `only` those scenes."""
     for name in materials:
         material = find_medium(name)
@@ -48,7 +48,7 @@ def cases(
                 continue
             small = replace(scene, camera=replace(scene.camera, pixels=(pixels, pixels)))
             methods = tuple(method for method in METHODS if not (scene.narrow_light and method == REFERENCE))
-            yield Case(scene_name, name, small, methods, "bssrdf exact" if scene.narrow_light else REFERENCE)
+            yield RenderCase(scene_name, name, small, methods, "bssrdf exact" if scene.narrow_light else REFERENCE)
 
 
 def _scenes(material: RenderMaterial) -> dict[str, Scene]:

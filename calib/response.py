@@ -38,7 +38,7 @@ class Response:
         """Light of each pixel of a frame (h, w) or (h, w, 3); InputError, naming its file, for another kind."""
         channels = frame.shape[2] if frame.ndim == 3 else 1
         if frame.dtype != np.uint8 or channels != self.curve.shape[1]:
-            raise InputError(f"{path}: is no 8-bit image of {self.curve.shape[1]} channels, as the first frame is")
+            raise InputError(f"{path}: is not an 8-bit image of {self.curve.shape[1]} channels, as the first frame is")
         planes = [self.curve[plane, c] for c, plane in enumerate(np.moveaxis(np.atleast_3d(frame), 2, 0))]
         return np.stack(planes, axis=-1).reshape(frame.shape).astype(np.float32)
 

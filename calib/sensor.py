@@ -77,7 +77,7 @@ class Sensor:
 
 
 def rows_of(values: tuple[float, ...], shape: tuple[int, ...]) -> NDArray[np.float32]:
-    """Values by place in a cell, 1, 2 × 2 or one a channel, repeated along the rows of a frame of `shape`."""
+    """Values by place in a cell, 1, 2 × 2 or one per channel, repeated along the rows of a frame of `shape`."""
     width = int(np.prod(shape[1:]))
     cell = np.asarray(values, np.float32)
     rows = cell.reshape(2, 2) if cell.size == 4 and len(shape) == 2 else cell.reshape(1, -1)

@@ -1,6 +1,6 @@
 """How the command line behaves whatever the command: common options, one line for an error, the exit code.
 
-0 done · 1 a bug of ours · 2 wrong usage · 3 bad input · 4 a device failed · 5 flagged, with --strict · 130 interrupted
+0 done · 1 internal error · 2 wrong usage · 3 bad input · 4 a device failed · 5 flagged, with --strict · 130 interrupted
 """
 
 from __future__ import annotations
@@ -86,7 +86,7 @@ def run(group: click.Group, arguments: list[str]) -> int:
         what = ": ".join(str(part) for part in (error.filename, error.strerror or error) if part)
         return _failed(arguments, error, f"{what}; check path, permissions and space", BAD_INPUT)
     except Exception as error:
-        return _failed(arguments, error, f"a bug of ours: {error!r} (--debug shows where)", BUG)
+        return _failed(arguments, error, f"an internal error: {error!r} (--debug shows where)", BUG)
     return code if isinstance(code, int) else 0
 
 

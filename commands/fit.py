@@ -47,7 +47,7 @@ def _slice_keys() -> Mapping[str, Declared]:
     help="Monte Carlo tables to use: any, made where none is at hand; those at hand; those that ship.",
 )
 @click.option("--explain", is_flag=True, help="Say how --model auto chooses.")
-@click.option("--json", "as_json", is_flag=True, help="One compact JSON object a line.")
+@click.option("--json", "as_json", is_flag=True, help="One compact JSON object per line.")
 @click.option("--out", type=FILE, help="Write the fit here (one input).")
 @click.option("--strict", is_flag=True, help="Exit code 5 where a result is unidentifiable or rejected.")
 @force_option
@@ -133,7 +133,7 @@ def table(inputs: tuple[Path, ...], form: Any) -> None:
 
 @click.command(cls=Command)
 @click.argument("fit_path", type=FOLDER, metavar="FIT_OR_SESSION")
-@click.option("--out", type=FILE, help="Picture to write; validation.png beside the fit if not given.")
+@click.option("--out", type=FILE, help="Picture to write (default: validation.png beside the fit).")
 @force_option
 def validate(fit_path: Path, out: Path | None, force: bool) -> None:
     """Simulate the fitted coefficients photon by photon and draw data, dipole and Monte Carlo (the paper's Fig. 6)."""

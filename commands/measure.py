@@ -17,7 +17,9 @@ from bssrdf.errors import UsageError
 @click.option("--from-hdr", is_flag=True, help="Start from the images that an earlier run wrote; no frame is read.")
 @click.option("--radial", is_flag=True, help="Average over the whole image instead of a band along the slice.")
 @click.option(
-    "--band-mm", type=click.FloatRange(min=0, min_open=True), help="Width of the band along the slice; else 10 pixels."
+    "--band-mm",
+    type=click.FloatRange(min=0, min_open=True),
+    help="Width of the band along the slice (default: 10 pixels).",
 )
 @click.option("--glare", is_flag=True, help="Take an even floor for veiling glare, and subtract it.")
 @click.option(
@@ -43,7 +45,7 @@ def measure(session: Path, **options: Any) -> None:
 @click.command(cls=Command)
 @click.argument("inputs", nargs=-1, required=True, type=FOLDER, metavar="SESSION_OR_SLICE...")
 def views(inputs: tuple[Path, ...]) -> None:
-    """Hold slices of one sample under several view angles against each other: do they follow the exit law?"""
+    """Compare slices of one sample taken at several view angles."""
     from bssrdf.commands.fit_files import slice_file
     from bssrdf.report import views_text
     from bssrdf.session.slice_csv import read_slice

@@ -24,7 +24,7 @@ _OPTIONS = (
     click.option("--material", metavar="NAME_OR_FIT", help="A published material, Marble-half, or a fit.json."),
     click.option("--g", type=float, help="Mean cosine of the phase function, at the same σs′."),
     click.option("--mesh", type=FILE, help="bust, face: this figure (PLY, OBJ), z up and looking along −y."),
-    click.option("--height-mm", type=float, help="Height that the mesh is scaled to; in mm as it is if not given."),
+    click.option("--height-mm", type=float, help="Height that the mesh is scaled to (default: as it is, in mm)."),
     click.option("--light", type=click.Choice(["beam", "edge", "sky"]), help="slab: what it lies under."),
     click.option("--texture", "texture_path", type=FILE, help="texture: image that scales the albedo."),
     click.option("--roughness", type=click.FloatRange(0, 1), default=0.0, help="Of GGX microfacets; 0 is polished."),
@@ -53,7 +53,7 @@ def _scene_options(command: Decorated) -> Decorated:
 )
 @click.option("--terms", metavar="LIST", help="Of diffusion,single,specular: those to show, and what they overlap by.")
 @click.option("--explain", is_flag=True, help="Say how --model auto chooses, and what it chose.")
-@click.option("--out", type=FILE, metavar="STEM", help="STEM.exr and STEM.png are written; SCENE if not given.")
+@click.option("--out", type=FILE, metavar="STEM", help="STEM.exr and STEM.png are written (default: SCENE).")
 @_scene_options
 def render(
     scene: str, model: str, terms: str | None, explain: bool, out: Path | None, samples: int, seed: int, **given: Any
@@ -75,14 +75,14 @@ def render(
     for path in write_pictures(stem, picture, _provenance(scene, subject, options, samples, seed)):
         click.echo(str(path))
     click.echo(
-        f"{options.model}: {picture.samples} samples a pixel, {picture.seconds:.1f} s + {picture.compile_s:.1f} s"
+        f"{options.model}: {picture.samples} samples per pixel, {picture.seconds:.1f} s + {picture.compile_s:.1f} s"
     )
 
 
 @click.command(cls=Command)
 @click.argument("scene", metavar="SCENE")
-@click.option("--mc-samples", type=click.IntRange(2), help="Samples a pixel of mc; as many as the others if not given.")
-@click.option("--out", type=FILE, metavar="FOLDER", help="Folder for the pictures; SCENE-compare if not given.")
+@click.option("--mc-samples", type=click.IntRange(2), help="Samples per pixel of mc (default: as many as the others).")
+@click.option("--out", type=FILE, metavar="FOLDER", help="Folder for the pictures (default: SCENE-compare).")
 @_scene_options
 def compare(scene: str, out: Path | None, samples: int, mc_samples: int | None, seed: int, **given: Any) -> None:
     """Render SCENE by brdf, bssrdf and mc: pictures side by side, their difference, errors and times."""
@@ -145,7 +145,7 @@ def _options(given: dict[str, Any], terms: str | None) -> RenderOptions:
 
 
 def _subject(scene: str, given: dict[str, Any]) -> Scene | Path:
-    """A scene of ours with what can be wrong about it said, or the path of a Mitsuba file."""
+    """A built-in scene with what can be wrong about it said, or the path of a Mitsuba file."""
     from bssrdf.render import remarks
     from bssrdf.render.scenes.catalogue import build_scene
 
@@ -185,7 +185,9 @@ def _with_model(subject: Scene | Path, options: RenderOptions, model: str, expla
     chosen: Any = model
     if isinstance(subject, Path):
         if model == "mc":
-            raise UsageError(f"{subject}: --model mc needs a scene of ours; give the file a volpathmis and use mitsuba")
+            raise UsageError(
+                f"{subject}: --model mc needs a built-in scene; render the file with volpathmis in mitsuba"
+            )
         chosen = "bssrdf" if model == "auto" else model
     elif model == "auto":
         choice: Choice = choose_model(subject)

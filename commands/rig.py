@@ -8,7 +8,7 @@ import click
 
 from bssrdf.commands.console import FILE, FOLDER, Command, Group, is_quiet
 
-RIG_FILE = click.option("--rig", type=FILE, help="What the bench is made of; rig.toml here if not given.")
+RIG_FILE = click.option("--rig", type=FILE, help="Bench description (default: ./rig.toml).")
 
 
 @click.group(cls=Group)
@@ -58,7 +58,7 @@ def rig_close(rig: Path | None) -> None:
 @click.option("--out", type=FOLDER, required=True, metavar="SESSION", help="The session to make.")
 @RIG_FILE
 @click.option("--simulate", is_flag=True, help="Use a simulated bench.")
-@click.option("--resume", is_flag=True, help="Go on with a capture that was stopped.")
+@click.option("--resume", is_flag=True, help="Resume an interrupted capture.")
 @click.option("--dry-run", is_flag=True, help="Only say which frames would be taken.")
 def capture(plan: Path, out: Path, rig: Path | None, simulate: bool, resume: bool, dry_run: bool) -> None:
     """Capture what PLAN asks for into a session."""

@@ -80,7 +80,7 @@ def ingest(
 @click.command(cls=Command)
 @click.argument("session", type=FOLDER)
 def verify(session: Path) -> None:
-    """Look whether SESSION is complete and unchanged: tables, frames, checksums, darks."""
+    """Check that SESSION is complete and unchanged."""
     from bssrdf.session.verify import verify_session
 
     verified = verify_session(session)

@@ -18,7 +18,7 @@ from bssrdf.session.text_file import toml_value
 ROOT = Path(__file__).parents[1]
 PLACE = re.compile(r"(<!-- ((?:keys|flags) of .+?), by `make docs-tables` -->\n).*?(<!-- end -->)", re.DOTALL)
 """Where a table stands, with its name."""
-_HEAD = "| key | meaning | values | if not given |\n|---|---|---|---|\n"
+_HEAD = "| key | meaning | values | default |\n|---|---|---|---|\n"
 
 
 def written_anew(text: str) -> str:

@@ -31,7 +31,7 @@ class Judged(NamedTuple):
     """(b,): radii in the window, a faded one in part."""
     total_r: Any
     pull: Any
-    """(b,): R measured less that of the curve alone, in sd; 0 where R is no datum."""
+    """(b,): R measured less that of the curve alone, in sd; 0 where R is not a datum."""
     runs_z: Any
     """(b,): sd by which runs of one sign fall short of chance."""
     drift: Any

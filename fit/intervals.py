@@ -1,4 +1,4 @@
-"""95 % intervals by profile likelihood, for where the cost is no parabola: σa near 0.
+"""95 % intervals by profile likelihood, for where the cost is not a parabola: σa near 0.
 
 The profile holds q and lets everything else find its best again. A bound lies where the cost has risen by the quantile
 of χ² with one degree of freedom: 2.71 for a one-sided bound, 3.84 for each end of an interval.

@@ -165,7 +165,7 @@ def _window(piece: Slice, window_mm: tuple[float, float] | None) -> tuple[float,
     return max(lo, RADII_FROM_SPOT * (piece.spot_radius_mm or 0.0), band / 2), hi
 
 
-def spot_matters(row: Row) -> bool:
+def spot_is_seen(row: Row) -> bool:
     """Whether the spot changes the innermost radius used by a share of its error; R_d ~ 1/r² to 1/r³ there."""
     if not row.spot_radius > 0:
         return False
@@ -198,7 +198,7 @@ def stack(rows: Sequence[Row], *, least_u: int = 0) -> Curves:
 def sight_of(piece: Slice, rows: Sequence[Row], curves: Curves, *, blurred: bool | None = None) -> Sight:
     """What the rows, all of slices seen as `piece` was, have to go through."""
     binned = bool((curves.r_hi > curves.r_lo).any())
-    blurred = any(spot_matters(row) for row in rows) if blurred is None else blurred
+    blurred = any(spot_is_seen(row) for row in rows) if blurred is None else blurred
     return Sight(
         camera=piece.exit == "fresnel",
         cos_view=math.cos(math.radians(piece.view_angle_deg)),

@@ -82,7 +82,7 @@ class Bias(NamedTuple):
 def bias(plan: Plan, truth: Truth, data: Problem, found: Solution) -> Bias:
     """At the medium found and then at that less its bias; how far the bias moves between the two is added."""
     first, on_first = _bias_at(plan, truth, data, found, found.point)
-    again, on_again = _bias_at(plan, truth, data, found, _less(found.point, first))
+    again, on_again = _bias_at(plan, truth, data, found, _unbiased(found.point, first))
     off_first, off_again = (1 / np.maximum(1 + each, LEAST_RATIO) - 1 for each in (first, again))
     error = np.where(np.isfinite(again), np.abs(off_again) + np.abs(off_again - off_first), np.abs(off_first))
     pull = np.fmax(np.abs(on_first.pull), np.abs(on_again.pull))
@@ -139,7 +139,7 @@ def refitted(
     return optimise(E, plan, model, data, found.laid, begin, 10 * REST, relay=False, weights=weights)
 
 
-def _less(point: Point, biased: Floats) -> Point:
+def _unbiased(point: Point, biased: Floats) -> Point:
     """The media whose fits, of that bias, came out as they did."""
     sigma = np.concatenate(coefficients(point.log_sigma, point.q), axis=1)
     sigma_a, sigma_sp = (sigma / np.maximum(1 + np.nan_to_num(biased), LEAST_RATIO)).T

@@ -26,15 +26,15 @@ PARABOLIC = 4.0
 FEWEST = 5
 """Radii below which nothing was fitted."""
 POOR_CHI2 = 3.0
-"""Of 1,056 trials of the bench none came above 1.6: twice that is no accident."""
+"""Of 1,056 trials of the bench none came above 1.6: twice that is not an accident."""
 POOR_RUNS = 4.0
 """Standard deviations: one honest curve in 30,000."""
-VAGUE = 0.5
+MAX_REL_SD = 0.5
 """Relative sd of σs′ beyond which nothing was identified."""
 MOST_PULL = 4.0
 """Standard deviations between the measured R and that of the curve."""
 MOST_DRIFT = 0.15
-"""Of the curve: a running mean of the residual beyond it is no noise and no small error of the model."""
+"""Of the curve: a running mean of the residual beyond it is neither noise nor a small error of the model."""
 TWO_MEDIA = 2.0
 """Ratio of σs′ or σa between two optima that fit alike, beyond which one interval for both would say nothing."""
 BIAS_ROOM = 1.5
@@ -46,7 +46,7 @@ FEW_OUTLIERS = 0.2
 LEAST_LIGHT = 1e-4
 """Of R; the light beyond the innermost radii of an opaque material may be this little."""
 MOST_LIGHT = 2.0
-MUCH_LOST = 0.05
+MAX_LOST = 0.05
 """Share of the light that fell outside the frame, beyond which its estimate decides R."""
 REJECTING = (Flag.TOTAL_INCONSISTENT, Flag.SHAPE_MISFIT, Flag.G_SUSPECT, Flag.ETA_SUSPECT)
 NAMES = {"exit": "exit_law"}
@@ -68,7 +68,7 @@ class Extra(NamedTuple):
 
 
 def needs_profile(fitted: Fitted) -> NDArray[np.bool_]:
-    """Rows whose linear errors do not describe σa: at its boundary, or near it where R is no exact condition."""
+    """Rows whose linear errors do not describe σa: at its boundary, or near it where R is not an exact condition."""
     q = fitted.found.point.q[:, 0]
     q_sd = np.sqrt(covariances(fitted)[:, 1, 1])
     if fitted.plan.constraint == "exact":
@@ -253,8 +253,8 @@ def _flags(fitted: Fitted, extra: Extra, row: int, interval: Interval, rel_sd: f
         Flag.G_CLAMPED: is_clamped(pieces[0].g) and not dipole,
         Flag.INCIDENCE_OBLIQUE: dipole and any(p.incidence_deg >= OBLIQUE_DEG for p in pieces),
         Flag.JOINT: len(pieces) > 1,
-        Flag.LIGHT_LOST: any((p.lost_fraction or {}).get(job.channel, 0.0) > MUCH_LOST for p in pieces),
-        Flag.NOISE: not rel_sd < VAGUE,
+        Flag.LIGHT_LOST: any((p.lost_fraction or {}).get(job.channel, 0.0) > MAX_LOST for p in pieces),
+        Flag.NOISE: not rel_sd < MAX_REL_SD,
         Flag.NOT_CONVERGED: not bool(fitted.found.converged[row]) or untested,
         Flag.POOR_FIT: known and float(judged.chi2[row]) > POOR_CHI2,
         Flag.POOR_FIT_RUNS: known and float(judged.runs_z[row]) > POOR_RUNS,

@@ -175,5 +175,5 @@ def session_response(session: Session, frames: Sequence[Frame]) -> Response | No
         path = session.path / bracket[label].file
         images.append(read_frame_file(path, encoded=True).data)
         if images[-1].dtype != np.uint8 or images[-1].shape != images[0].shape:
-            raise InputError(f"{path}: is no 8-bit image of the first one's size; take response out of [camera]")
+            raise InputError(f"{path}: is not an 8-bit image of the first one's size; take response out of [camera]")
     return fit_response(images, labels)

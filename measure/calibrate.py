@@ -77,7 +77,7 @@ def radius_of_edge(path: Path) -> float:
     try:
         values = {name: np.array([float(row[i]) for row in table.rows]) for i, name in enumerate(table.header)}
     except ValueError as error:
-        raise InputError(f"{path}: holds what is no number ({error}); write plain numbers") from error
+        raise InputError(f"{path}: contains a value that is not a number ({error}); write plain numbers") from error
     try:
         return knife_edge_radius(*(values[name] for name in _COLUMNS))
     except InputError as error:

@@ -102,7 +102,7 @@ def look_at_isophotes(view: Expected, images: tuple[Image, Image], spots: tuple[
     assert geometry
     if geometry.view_angle_deg < LEAST_VIEW_DEG or incidence_deg > MOST_INCIDENCE_DEG:
         return _unchecked({})
-    sample, tile = _look(view, images, spots)
+    sample, tile = _both_aspects(view, images, spots)
     if sample and tile:
         _refuse_other_axis(view, images, spots, (sample, tile))
     aspects = {image.name: each for image, each in zip(images, (sample, tile), strict=True) if each is not None}
@@ -119,7 +119,9 @@ def _unchecked(aspects: dict[str, Aspect]) -> Isophotes:
     return Isophotes(aspects, list(raised))
 
 
-def _look(view: Expected, images: tuple[Image, Image], spots: tuple[Spot, Spot]) -> tuple[Aspect | None, Aspect | None]:
+def _both_aspects(
+    view: Expected, images: tuple[Image, Image], spots: tuple[Spot, Spot]
+) -> tuple[Aspect | None, Aspect | None]:
     """Of sample and tile. The tile's, whose light needs no model, says where to look for the sample's."""
     tile = _of_tile(view, images[1], spots[1])
     return _of_sample(view, images[0], spots[0], tile.along if tile else 0.0), tile
@@ -155,7 +157,7 @@ def _refuse_other_axis(
 ) -> None:
     if any(_misfit(each) < _SWAP_SD for each in stated):
         return
-    other = _look(view, (_other_axis(images[0]), _other_axis(images[1])), spots)
+    other = _both_aspects(view, (_other_axis(images[0]), _other_axis(images[1])), spots)
     if all(b is not None and _misfit(a) - _misfit(b) > _SWAP_SD for a, b in zip(stated, other, strict=True)):
         axis = images[0].surface.geometry.view_axis
         drawn = " and ".join(f"{np.exp(each.along):.2f}" for each in stated)

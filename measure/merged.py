@@ -142,7 +142,7 @@ def _check_light_is_inside(frame: Frame, radiance: Plane) -> None:
 
 
 def _with_variance(radiance: Plane, period: int, rel_sd: float | None) -> Hdr:
-    """The image with its variance, given or by its own scatter; pixels that are no number have no data."""
+    """The image with its variance, given or by its own scatter; pixels that are not numbers have no data."""
     usable = np.isfinite(radiance)
     numbers = np.nan_to_num(radiance, posinf=0.0, neginf=0.0)
     return Hdr(

@@ -164,7 +164,7 @@ def _light_by_count(radiance: Any, mask: Any, count: Any, n: int) -> Any:
 
 @_fused
 def _pair(radiance: Any, variance: Any, mask: Any) -> Any:
-    """The sums of `_Level` over 2 × 2 pixels: those that stand out of the four are no part of the mean."""
+    """The sums of `_Level` over 2 × 2 pixels: those that stand out of the four are left out of the mean."""
     height, width = radiance.shape
     shape = ((height + 1) // 2, (width + 1) // 2)
     n, value, var = np.zeros(shape, np.float32), np.zeros(shape, np.float32), np.zeros(shape, np.float32)

@@ -30,7 +30,7 @@ from bssrdf.session.records import TOTAL_R_MAX, ChannelSlice, Geometry, Material
 
 _TILE_ETA = 1.35
 """Sintered PTFE."""
-_MUCH_LOST = 0.02
+_MAX_LOST = 0.02
 _DISAGREE_REL = 0.02
 _DISAGREE_PER_SINE = 0.6
 """Light runs outwards: across the view less is seen than on average, by up to this times the squared sine inside."""
@@ -119,7 +119,7 @@ def measure_slice(
             seen[totals[channel]] = (channel, (back, incident))
         differ = any(_disagree(side, back.profile, around) for side in profiles.values())
         raised = {
-            Flag.LIGHT_LOST: max(back.lost_fraction, incident.lost_fraction) > _MUCH_LOST,
+            Flag.LIGHT_LOST: max(back.lost_fraction, incident.lost_fraction) > _MAX_LOST,
             Flag.SLICE_RADIAL_DISAGREE: differ and not options.radial,
         }
         flags += [flag for flag, is_raised in raised.items() if is_raised]

@@ -22,7 +22,7 @@ _USABLE = ("converged", "upper_bound")
 
 @dataclass(frozen=True)
 class RenderMaterial:
-    """A homogeneous medium, one value a channel, and its Henyey-Greenstein mean cosine."""
+    """A homogeneous medium, one value per channel, and its Henyey-Greenstein mean cosine."""
 
     name: str
     sigma_a: Rgb
@@ -60,7 +60,7 @@ def find_medium(name: str, *, g: float | None = None) -> RenderMaterial:
     `g` replaces the medium's own at the same σs′. Raises InputError where there is no such medium.
     """
     if g is not None and not -1 < g < 1:
-        raise InputError(f"g {g:g} is no mean cosine; give a value between -1 and 1")
+        raise InputError(f"g {g:g} is not a mean cosine; give a value between -1 and 1")
     path = Path(name)
     if path.suffix == ".json" or path.is_dir():
         return medium_of_fit(read_fit(path / "fit.json" if path.is_dir() else path), g=g)

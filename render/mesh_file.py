@@ -25,10 +25,10 @@ class MeshFile(NamedTuple):
 def read_mesh(path: Path, *, height_mm: float | None = None) -> MeshFile:
     """The mesh in `path`, z up; scaled to a height where one is given, else taken to be in mm.
 
-    Raises InputError where the file is no mesh. Normals are taken from the faces where the file has none.
+    Raises InputError where the file is not a mesh. Normals are taken from the faces where the file has none.
     """
     if path.suffix.lower() not in FORMATS:
-        raise InputError(f"{path}: is no mesh that is read; convert it to {', '.join(FORMATS)}")
+        raise InputError(f"{path}: not a mesh that can be read; convert it to {', '.join(FORMATS)}")
     if not path.is_file():
         raise InputError(f"{path}: is not there; check the path")
     if height_mm is not None and not 0 < height_mm < float("inf"):

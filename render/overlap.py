@@ -37,7 +37,7 @@ def overlap(material: RenderMaterial) -> list[Overlap]:
 
 
 def overlap_text(material: RenderMaterial) -> str:
-    """One line a channel."""
+    """One line per channel."""
     lines = [
         f"  {each.channel}: diffusion {each.diffusion:.3f} + single {each.single:.3f} = "
         f"{each.diffusion + each.single:.3f} of the light that enters; Monte Carlo {each.monte_carlo:.3f}: "

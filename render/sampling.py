@@ -25,7 +25,7 @@ _FARTHEST = 5e3
 """Reduced mean free paths: single precision would blur the depth of the source for a longer probe."""
 _LEAST_ARGUMENT = 2.0**-24
 _WIDEST_DECAY = 1e3
-"""The exponential is no density at σtr = 0: it falls at least once in so many reduced mean free paths."""
+"""The exponential is not a density at σtr = 0: it falls at least once in so many reduced mean free paths."""
 
 
 @dataclass

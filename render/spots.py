@@ -46,7 +46,7 @@ class Spots:
         self._scene = scene
 
     def density(self, light: Any, active: Any) -> Any:
-        """`Shot.density` for any light; 0 where it is no spot."""
+        """`Shot.density` for any light; 0 where it is not a spot."""
         light_id = dr.reinterpret_array(mi.UInt32, light)
         known = active & (light_id < dr.width(self._density))
         return dr.gather(mi.Float, self._density, light_id, known)

@@ -40,7 +40,7 @@ def published_table(form: Format) -> str:
 
 
 def fits_table(fits: Sequence[Fit], form: Format) -> str:
-    """One row a channel of each material; repeats are combined, and `inflation` says how far they disagree."""
+    """One row per channel of each material; repeats are combined, and `inflation` says how far they disagree."""
     groups: dict[tuple[str, str, float, float | None], list[ChannelFit]] = {}
     for fit in fits:
         for name, channel in fit.channels.items():

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 
 def fit_text(fit: Fit) -> str:
-    """One line a channel, then each flag once with what it means."""
+    """One line per channel, then each flag once with what it means."""
     head = f"{fit.material or fit.input_path}  (η {fit.eta:g}{'' if fit.g is None else f', g {fit.g:g}'})"
     lines = [head, *(f"  {name:<6} {_channel(channel)}" for name, channel in fit.channels.items())]
     raised = {flag: None for channel in fit.channels.values() for flag in channel.flags}

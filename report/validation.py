@@ -170,7 +170,7 @@ def draw_validation(path: Path, fit: Fit, checks: list[Check]) -> None:
 
 
 def validation_text(checks: list[Check]) -> str:
-    """One line a channel."""
+    """One line per channel."""
     return "\n".join(
         f"{check.channel}: Monte Carlo R {check.total_r:.4f} ± {check.total_r_se:.4f}; measured over simulated "
         f"{100 * check.median_departure:+.2f} % (median over the window's clear points)"

@@ -26,7 +26,7 @@ class ViewComparison:
 
 
 def compare_views(slices: Sequence[Slice], channel: str) -> ViewComparison:
-    """Take the camera's factor off each slice and hold them against each other; InputError for fewer than two."""
+    """Take the camera's factor off each slice and compare them; InputError for fewer than two."""
     if len(slices) < 2:
         raise InputError(f"{len(slices)} slice has nothing to be compared with; give two or more view angles")
     for curve in slices:

@@ -229,7 +229,7 @@ class _Run:
                 self._devices.shutter.release()  # the person may have moved it wrongly: ask again
         raise DeviceError(
             f"{self._devices.camera.name} with {self._devices.shutter.name}: frame {step.name} was wrong "
-            f"{_TRIES} times, at last because {wrong}; put it right and go on with --resume"
+            f"{_TRIES} times, at last because {wrong}; fix that and go on with --resume"
         )
 
     def _longer(self, step: Step) -> SeenFrame | None:

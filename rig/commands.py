@@ -32,7 +32,7 @@ def run_capture(
     simulate: bool = False,
     report: Report | None = None,
 ) -> Captured:
-    """Capture a session; `rig` is rig.toml in the working folder if not given, or the simulated bench."""
+    """Capture a session; `rig` defaults to rig.toml in the working folder, or to the simulated bench."""
     truth = session.with_name(f"{session.name}.truth.json")
     with _bench(plan, rig, simulate, truth) as rig_file:
         return capture_session(plan, rig_file, session, resume=resume, report=report)
@@ -48,7 +48,7 @@ def dry_run(plan: Path, session: Path, *, rig: Path | None = None, simulate: boo
 
 
 def rig_list(*, listen: bool = False) -> list[str]:
-    """Serial ports and cameras that are connected, and the drivers that are installed, one a line.
+    """Serial ports and cameras that are connected, and the drivers that are installed, one per line.
 
     `listen` opens the ports of boards, and names the controllers among them.
     """
@@ -75,7 +75,7 @@ def cameras() -> list[str]:
 
 
 def rig_status(rig: Path | None = None) -> list[str]:
-    """Each device of the bench and its state, one a line; the shutter is closed by connecting to it."""
+    """Each device of the bench and its state, one per line; the shutter is closed by connecting to it."""
     described = read_rig(rig or _DEFAULT_RIG)
     with lock_ports(ports_of(described)):
         devices = devices_of(described)

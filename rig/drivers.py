@@ -44,7 +44,7 @@ class Driver:
     by_hand: bool = False
     """Of a shutter: whether a person moves it, so that it stays as it is until the next frame wants it otherwise."""
     kept_alive: bool = True
-    """Of a shutter: whether it is asked for its state a few times a second while the camera works, for a watchdog."""
+    """Of a shutter: whether it is asked for its state a few times per second while the camera works, for a watchdog."""
 
 
 def names(part: PartName) -> list[str]:

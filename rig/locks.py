@@ -43,7 +43,7 @@ def _file_of(port: str) -> Path:
 
 def _refuse(port: str, holder: str) -> None:
     if holder:
-        raise DeviceError(f"{port}: in use by process {holder}; let it end, or end it")
+        raise DeviceError(f"{port}: in use by process {holder}; wait for it or stop it")
 
 
 @contextmanager
@@ -51,7 +51,7 @@ def lock_session(session: Path) -> Iterator[None]:
     """Hold the session folder, or UsageError that names the process that does."""
     with _lock(session / ".lock") as holder:
         if holder:
-            raise UsageError(f"{session}: process {holder} is capturing into it; let it end")
+            raise UsageError(f"{session}: process {holder} is capturing into it; wait for it")
         yield
 
 

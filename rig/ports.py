@@ -101,7 +101,7 @@ class CameraPort(Protocol):
     def take(self, exposure_s: float, part: Path, keep_alive: Callable[[], None]) -> Path:
         """Expose for `exposure_s`; the file returned is `part` with the suffix of its format added, such as ".dng".
 
-        `keep_alive` is called a few times a second while the camera is waited for.
+        `keep_alive` is called a few times per second while the camera is waited for.
         """
         ...
 

@@ -1,4 +1,4 @@
-"""What must stay the same over a session, held against what the files say of themselves."""
+"""What must stay the same over a session, compared with what the files say of themselves."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from bssrdf.session.raw_frame import filled
 from bssrdf.session.records import Card, Frame
 
 CONSTANT_KINDS = ("sample", "reference", "sample_dark", "reference_dark", "dark")
-"""What is held against each other as counts of light."""
+"""What is compared as counts of light."""
 _SIZE = "size"
 _GROUPS: tuple[tuple[str | None, tuple[str, ...], tuple[str, ...]], ...] = (
     (None, CONSTANT_KINDS, ("camera", "iso", "gain", "f_number", "lens", "focal_mm", "bits", _SIZE)),

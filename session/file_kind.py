@@ -1,4 +1,4 @@
-"""What a file is by its first bytes, whatever its name says; and the files that are no picture at all."""
+"""What a file is by its first bytes, whatever its name says; and the files that are not pictures."""
 
 from __future__ import annotations
 

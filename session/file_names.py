@@ -2,7 +2,7 @@
 
 A time is a number and a unit: s, sec, ms, msec, us, usec, µs. The number may have a decimal point or comma, an exponent
 or, in seconds, be a fraction such as 1-250s (1/250 where a slash can stand). What touches a letter or another part
-of a number is no time; words such as `exp` or `t=` may stand right before it.
+of a number is not a time; words such as `exp` or `t=` may stand right before it.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from bssrdf.session.text_file import parse_csv, read_text
 
 _UNITS = {"s": 1.0, "sec": 1.0, "ms": 1e-3, "msec": 1e-3, "us": 1e-6, "usec": 1e-6, "µs": 1e-6, "μs": 1e-6}
 _TIME = re.compile(
-    r"""(?<![^_\-\s()\[\]=+;@])(?<!\de[-+])(?<!\d\.e[-+])    # begins a word, and is no exponent, …
+    r"""(?<![^_\-\s()\[\]=+;@])(?<!\de[-+])(?<!\d\.e[-+])    # begins a word, and is not an exponent, …
         (?:exp|exposure|et|t|time|texp|shutter|ss|tv)?=?    # … or follows one that announces a time
         (?:(?P<one>\d+)(?P<bar>[-_/∕⁄／]))?
         (?P<number>(?:\d*[.,])?\d+(?:e[+-]?\d+)?)
@@ -187,7 +187,7 @@ def exposure_source(text: str, folder: Path) -> Exposure:
         match = pattern.search(str(relative))
         seconds = seconds_of(match[1] or "", unit) if match else None
         if seconds is None:
-            where = f"finds {match[1]!r}, which is no exposure" if match else "finds nothing"
+            where = f"finds {match[1]!r}, which is not an exposure" if match else "finds nothing"
             raise InputError(f"{folder / relative}: --exposure-from {text!r} {where}; change the expression")
         return seconds
 

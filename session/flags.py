@@ -103,7 +103,7 @@ class Flag(StrEnum):
     GEOMETRY_UNCHECKED = (
         "geometry_unchecked",
         "measure",
-        "The picture could not be held against view angle and axis: see docs/measuring.md.",
+        "The picture could not be compared with view angle and axis: see docs/measuring.md.",
     )
     GLARE = (
         "glare",

@@ -64,7 +64,7 @@ def _read(path: Path, *, encoded: bool, pixels: bool) -> Iterable[RawFrame]:
     suffix = path.suffix.lower()
     if suffix not in (*RAW_SUFFIXES, *IMAGE_SUFFIXES, *ENCODED_SUFFIXES):
         raise InputError(
-            f"{path}: {suffix or 'no suffix'} is no kind of frame; use RAW, TIFF, PNG, PNM, FITS, NPY or EXR"
+            f"{path}: {suffix or 'no suffix'} is not a kind of frame; use RAW, TIFF, PNG, PNM, FITS, NPY or EXR"
         )
     check_content(path)
     if suffix in RAW_SUFFIXES:

@@ -1,4 +1,4 @@
-"""frames.csv: one line a frame; also the journal while capturing, to which lines are only added."""
+"""frames.csv: one line per frame; also the journal while capturing, to which lines are only added."""
 
 from __future__ import annotations
 

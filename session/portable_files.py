@@ -69,7 +69,7 @@ def read_npy(path: Path) -> list[RawFrame]:
     except Exception as error:  # whatever numpy's parser meets in a damaged header
         raise _damaged(path, f"NPY ({error})") from error
     if not isinstance(data, np.ndarray) or data.dtype.kind not in "uif" or data.ndim not in (2, 3, 4):
-        raise InputError(f"{path}: is no array of numbers (h, w) or (h, w, 3); save one")
+        raise InputError(f"{path}: is not an array of numbers (h, w) or (h, w, 3); save one")
     if data.ndim == 2 or (data.ndim == 3 and data.shape[2] == 3):
         return [_frame(data, _container(data))]
     return [_frame(page, _container(page)) for page in data]

@@ -133,7 +133,7 @@ def _mosaic(path: Path, raw: Any) -> tuple[str, tuple[float, ...]]:
 
     black = np.asarray(raw.black_level_per_channel, np.float64)
     if raw.raw_pattern is None:
-        raise InputError(f"{path}: is no mosaic but a stack of planes (Foveon, sRAW); save full RAW")
+        raise InputError(f"{path}: is not a mosaic but a stack of planes (Foveon, sRAW); save full RAW")
     if raw.num_colors == 1:
         return "mono", (float(black[0]),)
     if raw.raw_pattern.shape != (2, 2):

@@ -111,12 +111,12 @@ class Geometry:
     ] = None
     mm_per_px_rel_sd: Annotated[
         float | None,
-        Key("relative error of the scale; taken as 0.005, and flagged, if not given", SHARE, example=0.005),
+        Key("relative error of the scale; 0.005 is assumed, and flagged, without it", SHARE, example=0.005),
     ] = None
     distance_mm: Annotated[float, Key("lens to surface; counts for a laser's speckle only", POSITIVE)] = 300.0
     view_angle_deg: Annotated[float, Key("camera against the surface normal", ANGLE, ask=True)] = 45.0
     view_angle_sd_deg: Annotated[
-        float | None, Key("error of the view angle; taken as 1, and flagged, if not given", ERROR, example=1.0)
+        float | None, Key("error of the view angle; 1 is assumed, and flagged, without it", ERROR, example=1.0)
     ] = None
     view_axis: Annotated[
         Literal["x", "y"], Key("image axis that the view foreshortens; the slice crosses it", ask=True)
@@ -159,7 +159,7 @@ class Reference:
     reflectance_sd: Annotated[
         tuple[float, ...] | None,
         Key(
-            "error of each; taken as 1 % of it, and flagged, if not given",
+            "error of each; 1 % of it is assumed, and flagged, without it",
             ERROR,
             example=(0.005, 0.005, 0.005),
             ask=True,
@@ -324,7 +324,7 @@ class Slice:
     ] = None
     material: Annotated[str | None, Key("name of the material", informational=_NAME)] = None
     flags: Annotated[
-        tuple[str, ...], Key("what measuring found fault with", informational="handed on to the flags of the fit")
+        tuple[str, ...], Key("problems found while measuring", informational="handed on to the flags of the fit")
     ] = ()
     provenance: Annotated[
         dict[str, Any], Key("where the curve comes from", informational="so that it can be measured again")

@@ -54,7 +54,7 @@ def parse_toml(file: Path, document: str) -> dict[str, Any]:
     try:
         return tomllib.loads(document)
     except (ValueError, RecursionError) as error:
-        raise InputError(f"{file}: is not TOML: {error}; put it right there") from error
+        raise InputError(f"{file}: is not TOML: {error}; fix it there") from error
 
 
 class Table(NamedTuple):

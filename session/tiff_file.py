@@ -292,7 +292,7 @@ _SECONDS = {"s": 1.0, "ms": 1e-3, "µs": 1e-6, "us": 1e-6, "ns": 1e-9}
 
 
 def plane_exposures_s(tif: tifffile.TiffFile) -> dict[int, float]:
-    """Exposure [s] by the index of the page; empty where the file is no OME-TIFF or does not tell."""
+    """Exposure [s] by the index of the page; empty where the file is not an OME-TIFF or does not tell."""
     if not tif.is_ome or tif.ome_metadata is None:
         return {}
     exposures: dict[int, float] = {}

@@ -168,5 +168,5 @@ def test_the_response_of_a_gamma_camera_is_straightened():
         fit_response(frames[:2], exposures_s[:2])
     with pytest.raises(InputError, match="0 pixels are well exposed"):
         fit_response([np.zeros_like(frame) for frame in frames], exposures_s)
-    with pytest.raises(InputError, match=r"a\.jpg: is no 8-bit image of 1 channels"):
+    with pytest.raises(InputError, match=r"a\.jpg: is not an 8-bit image of 1 channels"):
         response.linearised(Path("a.jpg"), np.zeros((4, 4, 3), np.uint8))

@@ -38,7 +38,7 @@ def true_mm(x_px, y_px, tilt_deg, distance_mm=75.0):
 
 
 def render(tilt_deg, seed=0):
-    """The plate through lens and perspective, three samples a pixel each way, with noise."""
+    """The plate through lens and perspective, three samples per pixel each way, with noise."""
     texture = BOARD.board().generateImage((BOARD.columns * 120,) * 2).astype(np.float32)
     pixels_per_mm = texture.shape[0] / (BOARD.columns * BOARD.pitch_mm)
     coarse_x, coarse_y = np.arange(-10.0, SIZE[0] + 11, 10), np.arange(-10.0, SIZE[1] + 11, 10)

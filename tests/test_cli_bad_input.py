@@ -124,7 +124,7 @@ SESSIONS: dict[str, tuple[Callable[[Path], None], list[str]]] = {
     "truncated TIFF": (of_frame(FRAME, lambda f: f.write_bytes(f.read_bytes()[:300])), [FRAME]),
     "rubbish for a TIFF": (of_frame(FRAME, lambda f: f.write_bytes(bytes(range(256)))), [FRAME]),
     "empty frames.csv": (lambda s: (s / "frames.csv").write_text("") and None, ["frames.csv", "holds no table"]),
-    "malformed TOML": (in_toml('"wax"', '"wax'), ["session.toml", "line 3", "put it right"]),
+    "malformed TOML": (in_toml('"wax"', '"wax'), ["session.toml", "line 3", "fix it there"]),
     "format of the future": (in_toml("format = 1", "format = 2"), ["session.toml", "format = 2", "update"]),
     "rubbish for a TOML": (
         lambda s: (s / "session.toml").write_bytes(b"\xff\xfe\x00") and None,

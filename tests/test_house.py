@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ast
 import re
 import subprocess
 import sys
@@ -77,15 +76,6 @@ def test_every_flag_is_raised_by_the_stage_that_it_names() -> None:
         code = "".join(file.read_text(encoding="utf-8") for file in files)
         raised = {Flag[name] for name in re.findall(r"\bFlag\.([A-Z_]+)\b", code)}
         assert raised == {flag for flag in Flag if stage in flag.raised_by}
-
-
-def test_no_two_classes_share_a_name() -> None:
-    homes: dict[str, list[str]] = {}
-    for module in tracked_modules():
-        for node in ast.walk(ast.parse((ROOT / module).read_text(encoding="utf-8"))):
-            if isinstance(node, ast.ClassDef):
-                homes.setdefault(node.name, []).append(str(module))
-    assert not {name: files for name, files in homes.items() if len(files) > 1}
 
 
 def test_no_name_behind_a_door_is_that_of_a_module() -> None:

@@ -399,7 +399,7 @@ def test_stack_or_planes_that_are_cut_are_refused(tmp_path: Path, name: str) -> 
         ("a.cr2", b"<!DOCTYPE html>", "a web page"),
         ("a.fits", bytes(5000), "begins with zeros"),
         ("a.arw", b"no such format " * 9, "LibRaw .* does not read; convert it to DNG"),
-        ("a.heic", b"anything", "is no kind of frame"),
+        ("a.heic", b"anything", "is not a kind of frame"),
     ],
 )
 def test_unreadable_file_says_what_it_is(tmp_path: Path, name: str, data: bytes, cause: str) -> None:

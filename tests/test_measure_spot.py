@@ -68,7 +68,7 @@ def test_what_cannot_tell_a_spot_is_refused_with_one_line(tmp_path, capsys):
     assert run(cli, ["calibrate", "spot", str(image), "--out", str(out)]) == WRONG_USAGE
     lines = capsys.readouterr().err.strip().splitlines()
     assert len(lines) == 3
-    assert "edge.csv: holds what is no number" in lines[0]
+    assert "edge.csv: contains a value that is not a number" in lines[0]
     assert "spot.tif: is saturated in the spot" in lines[1]
     assert "--mm-per-px" in lines[2]
     assert not out.exists()

@@ -28,7 +28,7 @@ MAX_SCATTERINGS = 1_000_000
 FOLLOW = 0.85
 """How closely the weights follow the light's own decay: 1 would spend most time far out."""
 STACK = 4096
-"""Room for copies that wait; when it is full, photons are no longer split."""
+"""Room for copies that wait; when it is full, photons stop being split."""
 NO_FACE, TOP, BACK, WALL = -1, 0, 1, 2
 
 

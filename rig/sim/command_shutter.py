@@ -1,7 +1,7 @@
 """A simulated shutter or lamp as a program: `python -m bssrdf.rig.sim.command_shutter WORLD SPEED VERB`.
 
 VERB is open, close, state, on or off. Faults that the world may have it play: fails, killed, late, fails after (it has
-acted), mumbles (prints what is no state).
+acted), mumbles (prints something that is not a state).
 """
 
 from __future__ import annotations

@@ -129,7 +129,7 @@ def radius_of_bin_edges(q: Floats, g: float) -> Floats:
 
 
 def seconds_per_photon(g: float, etas: Floats, seed: int = 0) -> Floats:
-    """Processor time a photon takes in each group, by a short trial."""
+    """Processor time per photon in each group, by a short trial."""
     stop = threading.Event()
     costs = []
     for group in range(len(GROUPS)):

@@ -29,7 +29,7 @@ ROULETTE_BELOW = 0.6
 SPLIT_ABOVE = 2.0
 MAX_COPIES = 8
 STACK = 4096
-"""Room for copies that wait; when it is full, photons are no longer split."""
+"""Room for copies that wait; when it is full, photons stop being split."""
 COARSE = 4
 """Radial bins that share one bin of exit directions."""
 
