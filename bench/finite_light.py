@@ -16,8 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bssrdf.session.atomic import atomic_write
-from bssrdf.transport.engine import MonteCarloMedium, simulate
-from bssrdf.transport.materials import find_material
+from bssrdf.transport import MonteCarloMedium, find_material, simulate
 
 Floats = NDArray[np.float64]
 

@@ -62,7 +62,8 @@ def rig_close(rig: Path | None) -> None:
 @click.option("--dry-run", is_flag=True, help="Only say which frames would be taken.")
 def capture(plan: Path, out: Path, rig: Path | None, simulate: bool, resume: bool, dry_run: bool) -> None:
     """Capture what PLAN asks for into a session."""
-    from bssrdf.rig import commands, live
+    from bssrdf.report import live
+    from bssrdf.rig import commands
 
     if dry_run:
         click.echo(commands.dry_run(plan, out, rig=rig, simulate=simulate))

@@ -17,9 +17,9 @@ from bssrdf.fit.models import Truth
 from bssrdf.fit.observe import NEAREST_MFP
 from bssrdf.fit.solve import REST, Solution, optimise, settle
 from bssrdf.fit.terms import Laid, Neighbours, Plan, Point, Problem, Weights, curve, lay
+from bssrdf.transport import R_ZERO, V_MAX
 from bssrdf.transport.arrays import NUMPY
 from bssrdf.transport.light import Light, WhiteTable, coefficients, dipole, shape_of
-from bssrdf.transport.white.grid import R_ZERO, V_MAX
 
 Floats = NDArray[np.float64]
 LEAST_RATIO = 0.2

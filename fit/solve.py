@@ -26,9 +26,9 @@ from bssrdf.fit.terms import (
     total_row,
     weigh,
 )
+from bssrdf.transport import R_MAX
 from bssrdf.transport.arrays import Engine
 from bssrdf.transport.light import Light, q_of_total
-from bssrdf.transport.white.grid import R_MAX
 
 MAX_STEPS = 40
 START_STEPS = 15

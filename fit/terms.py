@@ -25,9 +25,9 @@ from bssrdf.fit.observe import (
     seen_at,
     total_seen,
 )
+from bssrdf.transport import R_ZERO
 from bssrdf.transport.arrays import Engine
 from bssrdf.transport.light import KNOT_STEP, Light
-from bssrdf.transport.white.grid import R_ZERO
 
 Constraint = Literal["exact", "soft", "none"]
 Source = Literal["scale", "length", "spot", "view", "exit", "table", "eta", "g"]

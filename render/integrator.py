@@ -22,7 +22,7 @@ import drjit as dr
 import mitsuba as mi
 
 from bssrdf.errors import InputError
-from bssrdf.render.meshes import openings
+from bssrdf.render.mesh_file import openings
 from bssrdf.render.paths import TERMS, Settings, Tracer
 from bssrdf.render.sampling import LAWS
 from bssrdf.render.surface import register_medium

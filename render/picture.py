@@ -13,10 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bssrdf.errors import InputError
-from bssrdf.render.mitsuba_errors import cause
 from bssrdf.render.plugins import RenderOptions, integrator, scene_dict
 from bssrdf.render.scenes.record import Scene
-from bssrdf.render.variant import use_variant
+from bssrdf.render.variant import cause, use_variant
 from bssrdf.session.atomic import atomic_write
 
 Pixels = NDArray[np.float32]

@@ -6,9 +6,9 @@ from bssrdf.door import door
 
 if TYPE_CHECKING:
     from bssrdf.rig.capture import Event as Event
+    from bssrdf.rig.capture import Report as Report
     from bssrdf.rig.capture import capture_session as capture_session
     from bssrdf.rig.commands import rig_list as rig_list
-    from bssrdf.rig.progress import live as live
     from bssrdf.rig.sim.launch import SCALE_REL_SD as SCALE_REL_SD
     from bssrdf.rig.sim.launch import TILE_SD as TILE_SD
     from bssrdf.rig.sim.launch import SimulatedBench as SimulatedBench

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import shlex
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from bssrdf.errors import DeviceError
 from bssrdf.rig.child import ended_well
-from bssrdf.rig.file_kind import frame_among
 from bssrdf.rig.ports import Clock, Identity, ShutterState
+from bssrdf.session.file_kind import kind_of
+from bssrdf.session.frame_files import ENCODED_SUFFIXES, IMAGE_SUFFIXES
+from bssrdf.session.raw_file import RAW_SUFFIXES
 
 DEVICE_S = 10.0
 CAMERA_S = 60.0
@@ -122,3 +124,18 @@ def _filled(word: str, stands_for: dict[str, str]) -> str:
     for name, value in stands_for.items():
         word = word.replace(name, value)
     return word
+
+
+def frame_among(whose: str, files: Sequence[Path]) -> tuple[Path, str]:
+    """The frame and its suffix: the one RAW file, else the one image; DeviceError where there is none or no telling."""
+    kinds = {file: file.suffix.lower() or kind_of(file) for file in files if not file.name.startswith(".")}
+    for wanted in (RAW_SUFFIXES, IMAGE_SUFFIXES, ENCODED_SUFFIXES):
+        fitting = [file for file, suffix in kinds.items() if suffix in wanted]
+        if len(fitting) > 1:
+            names = ", ".join(file.name for file in fitting)
+            raise DeviceError(f"{whose} left {names}; one frame is wanted")
+        if fitting:
+            return fitting[0], kinds[fitting[0]]
+    others = ", ".join(file.name for file in files)
+    left = f"left {others}, no kind of frame" if others else "left no file at {out}"
+    raise DeviceError(f"{whose} {left}; have it write RAW, TIFF or EXR there")

@@ -16,7 +16,7 @@ from bssrdf.cli import cli
 from bssrdf.commands.console import run
 from bssrdf.errors import UsageError
 from bssrdf.render.material import find_medium
-from bssrdf.transport.brdf import brdf_diffuse, brdf_single
+from bssrdf.transport.bssrdf import brdf_diffuse, brdf_single
 from bssrdf.transport.dipole import Medium
 from bssrdf.transport.fresnel import fresnel_r
 

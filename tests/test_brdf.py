@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from bssrdf.transport import brdf as model
+from bssrdf.transport import bssrdf as model
 from bssrdf.transport.bssrdf import s_d
 from bssrdf.transport.dipole import Medium, rd, total_r
 from bssrdf.transport.fresnel import exit_norm, fresnel_t

@@ -35,7 +35,7 @@ def test_the_switch_comes_back_after_an_error() -> None:
 def test_importing_changes_no_setting_of_jax() -> None:
     code = (
         "import jax; before = dict(jax.config.values);"
-        "import bssrdf.transport.brdf, bssrdf.transport.materials, bssrdf.transport.convention;"
+        "import bssrdf.transport.bssrdf, bssrdf.transport.materials, bssrdf.transport.convention;"
         "assert dict(jax.config.values) == before"
     )
     subprocess.run([sys.executable, "-c", code], check=True)

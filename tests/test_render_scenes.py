@@ -9,12 +9,11 @@ import numpy as np
 import pytest
 
 from bssrdf.errors import InputError, UsageError
-from bssrdf.render.check import mc_refusal, remarks
-from bssrdf.render.choose import LEAST_ALBEDO, WIDE, choose_model, spread_mm
+from bssrdf.render.choose import LEAST_ALBEDO, WIDE, choose_model, mc_refusal, remarks, spread_mm
 from bssrdf.render.head import head_distance, head_mesh
-from bssrdf.render.lathe import turned
 from bssrdf.render.material import HALF_ALBEDO, RenderMaterial, find_medium, medium_of_fit
 from bssrdf.render.scenes.catalogue import SCENES, build_scene
+from bssrdf.render.scenes.milk import turned
 from bssrdf.render.scenes.record import Body, Scene, Viewpoint
 from bssrdf.render.surface_nets import TriangleMesh
 from bssrdf.session.records import ChannelFit, Fit

@@ -11,8 +11,7 @@ from dataclasses import replace
 import pytest
 
 from bssrdf.report.progress import stages, steps
-from bssrdf.report.repeats import combine
-from bssrdf.report.table import fits_table, format_rows
+from bssrdf.report.table import combine, fits_table, format_rows
 from bssrdf.report.text import fit_text
 from bssrdf.session.flags import Flag
 from bssrdf.session.records import ChannelFit, Fit

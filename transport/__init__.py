@@ -29,6 +29,9 @@ if TYPE_CHECKING:
     from bssrdf.transport.single import first_order_total as first_order_total
     from bssrdf.transport.white.archive import table_set as table_set
     from bssrdf.transport.white.archive import write_tables as write_tables
+    from bssrdf.transport.white.grid import R_MAX as R_MAX
+    from bssrdf.transport.white.grid import R_ZERO as R_ZERO
+    from bssrdf.transport.white.grid import V_MAX as V_MAX
     from bssrdf.transport.white.samples import WhiteSamples as WhiteSamples
     from bssrdf.transport.white.samples import sample as sample
     from bssrdf.transport.white.smooth import fit_tables as fit_tables

@@ -79,9 +79,9 @@ def _shipped() -> dict[str, Array]:
 
 def _cached(unit: SampleMedium, view_angle_deg: float, photons: int, seed: int) -> Array:
     from bssrdf.rig.sim import peel_off, walked_light
-    from bssrdf.transport import photon, walk
 
-    code = "".join(inspect.getsource(module) for module in (walked_light, peel_off, photon, walk))
+    walks = (importlib.resources.files("bssrdf.transport") / name for name in ("photon.py", "walk.py"))
+    code = "".join([*map(inspect.getsource, (walked_light, peel_off)), *(walk.read_text("utf-8") for walk in walks)])
     key = json.dumps([asdict(unit), view_angle_deg, photons, seed, code])
     file = platformdirs.user_cache_path("bssrdf") / "light" / f"{hashlib.sha256(key.encode()).hexdigest()[:32]}.npy"
     if not file.is_file():
