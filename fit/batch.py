@@ -12,13 +12,13 @@ from numpy.typing import NDArray
 from bssrdf.errors import InputError
 from bssrdf.fit.compiled import FROM, settled
 from bssrdf.fit.errors import Judged, judge
-from bssrdf.fit.layout import Curves, Row, Total, camera_factor, row_of, sight_of, stack
+from bssrdf.fit.layout import Curves, camera_factor, curves_of, sight_of, total_of
 from bssrdf.fit.models import Making, beam_of, beside, table_of_medium
 from bssrdf.fit.solve import Solution, settle, start, starts_of
 from bssrdf.fit.terms import EXIT_MODES, TABLE_MODES, Constraint, Neighbours, Plan, Point, Problem, Sds, Shared, Source
 from bssrdf.session.records import Slice
 from bssrdf.transport import NORMAL, Policy
-from bssrdf.transport.arrays import NUMPY
+from bssrdf.transport.arrays import NUMPY, picked, replaced
 from bssrdf.transport.light import Light, dipole
 
 BATCH = 256
@@ -61,7 +61,6 @@ class Fitted(NamedTuple):
 
     jobs: Sequence[Job]
     options: Options
-    rows: Sequence[tuple[Row, ...]]
     plan: Plan
     model: Light
     beside: Neighbours
@@ -151,28 +150,22 @@ def fit_group(
     if model is None:
         model = dipole(piece.eta) if name == "dipole" else table_of_medium(piece, options.tables, making)
     aside = beside(name, piece.eta, piece.g) if beam_of(piece) == NORMAL else {}
-    rows = [tuple(row_of(piece, job.channel, options.window_mm) for piece in job.pieces) for job in jobs]
-    plan, data = problem_of(jobs, rows, options, model, aside)
+    plan, data = problem_of(jobs, options, model, aside)
     found, rival = _best(plan, model, data, aside, compile_it=compile_it)
-    return Fitted(jobs, options, rows, plan, model, aside, data, found, judge(NUMPY, plan, model, data, found), rival)
+    return Fitted(jobs, options, plan, model, aside, data, found, judge(NUMPY, plan, model, data, found), rival)
 
 
-def problem_of(
-    jobs: Sequence[Job], rows: Sequence[tuple[Row, ...]], options: Options, model: Light, aside: Neighbours
-) -> tuple[Plan, Problem]:
+def problem_of(jobs: Sequence[Job], options: Options, model: Light, aside: Neighbours) -> tuple[Plan, Problem]:
     """The terms of jobs of one key."""
-    first = jobs[0]
-    by_slice = list(zip(*rows, strict=True))
-    curves: list[Curves] = [stack(each) for each in by_slice]
+    first, names = jobs[0], [job.channel for job in jobs]
     pieces = first.pieces
-    sights = [sight_of(piece, each, c) for piece, each, c in zip(pieces, by_slice, curves, strict=True)]
+    by_slice = list(zip(*(job.pieces for job in jobs), strict=True))
+    curves = [curves_of(each, names, options.window_mm) for each in by_slice]
+    sights = [sight_of(piece, c) for piece, c in zip(pieces, curves, strict=True)]
     if any(sight.blurred for sight in sights):  # a slice in parts is blurred as the whole is
-        sights = [
-            sight_of(piece, each, c, blurred=bool(c.spot_radius.any()))
-            for piece, each, c in zip(pieces, by_slice, curves, strict=True)
-        ]
+        sights = [sight_of(p, c, blurred=bool(c.spot_radius.any())) for p, c in zip(pieces, curves, strict=True)]
     constraint = _constraint(first, options.constraint)
-    sds = tuple(_sds([job.pieces[k] for job in jobs]) for k in range(len(pieces)))
+    sds = tuple(_sds(each) for each in by_slice)
     totals = _totals(first, constraint)
     plan = Plan(
         constraint=constraint,
@@ -182,9 +175,7 @@ def problem_of(
         totals=totals,
         shared=_shared(first, sights, sds, curves, model, aside),
     )
-    measured = tuple(
-        Total(*(np.array([[getattr(row[k], key)] for row in rows]) for key in ("total_r", "total_sd"))) for k in totals
-    )
+    measured = tuple(total_of(by_slice[k], names) for k in totals)
     return plan, Problem(tuple(curves), measured, sds, tuple(_factor_slopes(piece) for piece in pieces))
 
 
@@ -312,23 +303,3 @@ def _logs(points: NDArray[np.float64]) -> NDArray[np.float64]:
 
 def _point(values: NDArray[np.float64]) -> Point:
     return Point(*(values[:, k : k + 1] for k in range(3)))
-
-
-def picked(tree: Any, rows: Any) -> Any:
-    """Some rows of a batch; what belongs to all of it stays."""
-    if isinstance(tree, tuple):
-        made = [picked(each, rows) for each in tree]
-        return type(tree)(*made) if hasattr(tree, "_fields") else tuple(made)
-    return tree[rows] if isinstance(tree, np.ndarray) else tree
-
-
-def replaced(tree: Any, rows: NDArray[np.int_], new: Any) -> Any:
-    """The batch with some rows from another."""
-    if isinstance(tree, tuple):
-        made = [replaced(old, rows, each) for old, each in zip(tree, new, strict=True)]
-        return type(tree)(*made) if hasattr(tree, "_fields") else tuple(made)
-    if not isinstance(tree, np.ndarray):
-        return tree
-    whole = tree.copy()
-    whole[rows] = new
-    return whole

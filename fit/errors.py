@@ -11,8 +11,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from bssrdf.fit.solve import Solution, elimination
-from bssrdf.fit.terms import Plan, Problem, curve, model_sd, rows_of, squares, system, total, total_row, window
+from bssrdf.fit.solve import Solution, elimination, keeping
+from bssrdf.fit.terms import Gaps, Plan, Problem, look, model_sd, rows_of, squares, system, totals_of, window
 from bssrdf.transport.arrays import Engine
 from bssrdf.transport.light import Light
 
@@ -50,11 +50,12 @@ def judge(e: Engine, plan: Plan, model: Light, data: Problem, found: Solution) -
     """Linear error propagation about the optimum, and tests of the residuals."""
     xp = e.xp
     at, laid, by = found.point, found.laid, found.weights
-    looks = [curve(e, plan, model, laid, at, k) for k in range(len(plan.sights))]
-    rows = [rows_of(e, laid, look, k) for k, look in enumerate(looks)]
-    full = system(e, plan, model, data, laid, at, looks, by)
-    answer = _answer(e, plan, model, data, found, full.matrix)
-    w2 = [squares(e, plan, model, data, at, look[0], k) for k, look in enumerate(looks)]
+    seen = look(e, plan, model, laid, at)
+    looks, totals = seen.curves, totals_of(e, data, laid, seen)
+    rows = [rows_of(e, laid, each, k) for k, each in enumerate(looks)]
+    full = system(e, plan, data, laid, seen, totals, by)
+    answer = _answer(e, plan, totals, full.matrix)
+    w2 = [squares(e, plan, model, data, at, each[0], k) for k, each in enumerate(looks)]
     used = tuple((window(e, model, c, at.log_sigma) > 0.5) & (m > 0) for c, m in zip(data.curves, by.mass, strict=True))
     n = sum(((c.known != 0).sum(2) * window(e, model, c, at.log_sigma)).sum(1) for c in data.curves)
     p = (plan.constraint != "exact") + 1 + plan.scale_free
@@ -72,29 +73,30 @@ def judge(e: Engine, plan: Plan, model: Light, data: Problem, found: Solution) -
     sources["noise"] = _seen(xp, answer, noise)
     if model.name == "mc":
         sources["table"] = sources.get("table", 0.0) + _seen(xp, answer, allowed)
-    total_answer, pull = _by_totals(e, plan, model, data, found, full.matrix, answer, sources)
+    total_answer, pull = _by_totals(e, plan, data, found, totals, full.matrix, answer, sources)
     return Judged(
         sources=sources,
         chi2=chi2,
         n=n,
-        total_r=total(e, model, at.q)[0][:, 0],
+        total_r=seen.total[0][:, 0],
         pull=pull,
         runs_z=_runs(e, data, laid, looks, w2, found.shared),
         drift=_drift(e, laid, looks, by, found.shared, chi2),
         answer=tuple(
-            xp.matmul(answer, x) * (mass * look[0])[:, None, :]
-            for x, mass, look in zip(rows, by.mass, looks, strict=True)
+            xp.matmul(answer, x) * (mass * each[0])[:, None, :]
+            for x, mass, each in zip(rows, by.mass, looks, strict=True)
         ),
         total_answer=total_answer,
         used=used,
-        values=tuple(look[0] for look in looks),
+        values=tuple(each[0] for each in looks),
     )
 
 
-def _answer(e: Engine, plan: Plan, model: Light, data: Problem, found: Solution, matrix: Any) -> Any:
+def _answer(e: Engine, plan: Plan, totals: Gaps, matrix: Any) -> Any:
     """G, (b, P, P)."""
     xp = e.xp
-    lift, _ = elimination(e, plan, model, data, found.laid, found.point)
+    keeps = keeping(plan, totals)
+    lift = elimination(e, keeps)[0] if keeps is not None else xp.asarray(np.eye(matrix.shape[1])[None])
     dead = [1] if plan.constraint == "exact" else []
     dead += [] if plan.scale_free else [2]
     alive = np.array([k for k in range(matrix.shape[1]) if k not in dead])
@@ -121,9 +123,9 @@ def _by_prior(plan: Plan, answer: Any) -> dict[str, Any]:
 def _by_totals(
     e: Engine,
     plan: Plan,
-    model: Light,
     data: Problem,
     found: Solution,
+    totals: Gaps,
     matrix: Any,
     answer: Any,
     sources: dict[str, Any],
@@ -133,12 +135,8 @@ def _by_totals(
     b = found.point.q.shape[0]
     pull, total_answer = xp.zeros(b), xp.zeros(answer.shape[:2])
     covariance = xp.zeros((b, 2, 2))
-    for k in range(len(plan.totals)):
-        if plan.constraint == "none":
-            continue
-        gap, row = total_row(e, model, data, found.laid, found.point, k)
-        value = data.totals[k].r / found.laid.total_seen[k] - gap
-        sd = data.totals[k].sd
+    for measured, law, gap, row in zip(data.totals, found.laid.total_seen, *totals, strict=True):
+        value, sd = measured.r / law - gap, measured.sd
         if plan.constraint == "exact":
             shift = xp.asarray(np.eye(row.shape[1])[1]) / row[:, 1:2]
             moved = shift - xp.matmul(answer, xp.matmul(matrix, shift[:, :, None]))[:, :, 0]
@@ -202,11 +200,11 @@ def _drift(e: Engine, laid: Any, looks: Any, by: Any, shared: Any, chi2: Any) ->
     the misfit."""
     xp = e.xp
     largest = xp.zeros(looks[0][0].shape[0])
-    for k, look in enumerate(looks):
-        value = xp.maximum(look[0], 1e-300)
+    for k, each in enumerate(looks):
+        value = xp.maximum(each[0], 1e-300)
         counts = by.mass[k] > 0
         weight = by.mass[k] * value * value
-        relative = xp.where(counts, (by.mean[k] - _fitted(laid, look, shared, k)) / value, 0.0)
+        relative = xp.where(counts, (by.mean[k] - _fitted(laid, each, shared, k)) / value, 0.0)
         rank = xp.cumsum(counts, axis=1) / xp.maximum(counts.sum(1, keepdims=True), 1)
         for first in np.linspace(0, 1 - 1 / FIFTH, STARTS):
             within = (rank > first) & (rank <= first + 1 / FIFTH)

@@ -17,6 +17,7 @@ from bssrdf.session.records import ChannelSlice, Slice
 from bssrdf.transport.light import exit_norm, transmittance
 
 Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
 
 RADII_FROM_SPOT = 1.5
 """In 1/e² radii of the spot: from here on the spot's blur is a correction and not the signal itself."""
@@ -59,8 +60,14 @@ class Curves(NamedTuple):
     """(b, u, m): 1/sd, 0 where there is no datum. 1 where no error is known."""
     errors_known: Any
     """(b, 1), bool."""
-    window: Any
-    """(b, 2): radii that may be used at all."""
+    filled: Any
+    """(b, 1), bool: whether some sd were missing and taken from their neighbours."""
+    log_r: Any
+    """(b, u): ln of the radius or of the middle of the annulus."""
+    within: Any
+    """(b, u), bool: radii that may be used at all."""
+    reach: Any
+    """(b, 2): the innermost and the outermost of those with data; ∞ and 0 where there are none."""
     spot_radius: Any
     """(b, 1): 1/e²; 0 where it is not known."""
     few_r: Any
@@ -76,24 +83,6 @@ class Total(NamedTuple):
     sd: Any
 
 
-class Row(NamedTuple):
-    """One channel of one slice, radii ascending."""
-
-    r_lo: Floats
-    r_hi: Floats
-    arc: Floats
-    rd: Floats
-    known: Floats
-    errors_known: bool
-    filled: bool
-    """Whether some sd were missing and taken from their neighbours."""
-    window: tuple[float, float]
-    spot_radius: float
-    total_r: float
-    total_sd: float
-    """NaN where unknown; in the models' convention."""
-
-
 def camera_factor(piece: Slice, *, eta: float | None = None, view_deg: float | None = None) -> float:
     """R_d as the slice has it over the models', per entering flux over the hemisphere: see `transport.convention`."""
     eta = piece.eta if eta is None else eta
@@ -106,26 +95,47 @@ def camera_factor(piece: Slice, *, eta: float | None = None, view_deg: float | N
     return factor
 
 
-def row_of(piece: Slice, name: str, window_mm: tuple[float, float] | None) -> Row:
-    """The named channel of the slice."""
-    channel, factor = piece.channels[name], camera_factor(piece)
-    r_lo, r_hi = edges(channel)
-    order = np.flatnonzero(r_hi > 0)  # light scattered once has no value at the beam itself
-    order = order[np.argsort((r_lo + r_hi)[order], kind="stable")]
-    rd = channel.rd_per_mm2 / factor
-    sd, errors_known, filled = _errors(channel.r_mm, rd, channel.sd_per_mm2 / factor)
-    return Row(
-        r_lo=r_lo[order],
-        r_hi=r_hi[order],
-        arc=_arc(piece, channel.r_mm)[order],
-        rd=rd[order],
-        known=(1 / sd)[order],
+def curves_of(pieces: Sequence[Slice], names: Sequence[str], window_mm: tuple[float, float] | None) -> Curves:
+    """One named channel of each slice, radii ascending, padded to one length; what stands twice is looked at once."""
+    channels = [piece.channels[name] for piece, name in zip(pieces, names, strict=True)]
+    size = np.array([channel.r_mm.size for channel in channels])
+    there = np.arange(size.max()) < size[:, None]
+
+    def padded(arrays: Sequence[Floats]) -> Floats:
+        out = np.zeros(there.shape)
+        out[there] = np.concatenate(arrays)
+        return out
+
+    factor = np.array([[camera_factor(piece)] for piece in pieces])
+    r = padded([channel.r_mm for channel in channels])
+    r_lo, r_hi = (padded(list(each)) for each in zip(*(edges(channel) for channel in channels), strict=True))
+    rd, sd = (padded([getattr(channel, key) for channel in channels]) / factor for key in ("rd_per_mm2", "sd_per_mm2"))
+    known, errors_known, filled = _known(r, rd, sd, there)
+    data = _Data(r_lo, r_hi, _arc(pieces, r), rd, known, there & (r_hi > 0))  # light scattered once has no value at 0
+    folded = _fold(_ascending(data))
+    window = np.array([_window(piece, window_mm) for piece in pieces], float)
+    within = (folded.r_lo >= window[:, :1]) & (folded.r_hi <= window[:, 1:])
+    usable = within & (folded.known != 0).any(axis=2)
+    return Curves(
+        *folded,
         errors_known=errors_known,
         filled=filled,
-        window=_window(piece, window_mm),
-        spot_radius=piece.spot_radius_mm or 0.0,
-        total_r=piece.total_r.get(name, math.nan) / factor,
-        total_sd=piece.total_r_sd.get(name, math.nan) / factor,
+        log_r=np.log(np.maximum(folded.r_lo + folded.r_hi, 1e-300) / 2),
+        within=within,
+        reach=_reach((folded.r_lo + folded.r_hi) / 2, usable),
+        spot_radius=np.array([[piece.spot_radius_mm or 0.0] for piece in pieces]),
+        **_sampled(folded, usable),
+    )
+
+
+def total_of(pieces: Sequence[Slice], names: Sequence[str]) -> Total:
+    """R of the named channel of each slice, in the models' convention; NaN where it is not known."""
+    named = list(zip(pieces, names, strict=True))
+    return Total(
+        *(
+            np.array([[getattr(piece, key).get(name, math.nan) / camera_factor(piece)] for piece, name in named])
+            for key in ("total_r", "total_r_sd")
+        )
     )
 
 
@@ -136,24 +146,33 @@ def edges(channel: ChannelSlice) -> tuple[Floats, Floats]:
     return channel.r_lo_mm, channel.r_hi_mm
 
 
-def _errors(r_mm: Floats, rd: Floats, sd: Floats) -> tuple[Floats, bool, bool]:
-    """Errors of all rows, a missing one relative as its neighbours'; whether they are known, whether any was filled."""
+def _known(r: Floats, rd: Floats, sd: Floats, there: Bools) -> tuple[Floats, Bools, Bools]:
+    """1/sd, a missing one relative as its neighbours'; (b, 1) whether errors are known, whether any was filled."""
+    stated, size = (sd > 0) & there, there.sum(1, keepdims=True)
+    count = stated.sum(1, keepdims=True)
+    errors_known = count >= STATED_SDS * size
+    filled = errors_known & (count < size)
+    for row in np.flatnonzero(filled):
+        at = there[row]
+        sd[row, at] = _filled(r[row, at], rd[row, at], sd[row, at])
+    known = np.where(errors_known, 1 / np.where(there, sd, 1.0), 1.0)
+    return np.where(there, known, 0.0), errors_known, filled
+
+
+def _filled(r_mm: Floats, rd: Floats, sd: Floats) -> Floats:
     stated = sd > 0
-    if stated.mean() < STATED_SDS:
-        return np.ones_like(rd), False, False
-    if stated.all():
-        return sd, True, False
     usable = stated & (rd != 0)
     order = np.flatnonzero(usable)[np.argsort(r_mm[usable], kind="stable")]
     relative = np.exp(np.interp(r_mm, r_mm[order], np.log(sd[order] / np.abs(rd[order]))))
-    floor = sd[stated].min()
-    return np.where(stated, sd, np.maximum(relative * np.abs(rd), floor)), True, True
+    return np.where(stated, sd, np.maximum(relative * np.abs(rd), sd[stated].min()))
 
 
-def _arc(piece: Slice, r_mm: Floats) -> Floats:
-    if piece.azimuth == "mean":
-        return np.full_like(r_mm, np.pi / 2)
-    return np.arcsin(np.minimum(1, (piece.band_mm or 0.0) / 2 / np.maximum(r_mm, 1e-12)))
+def _arc(pieces: Sequence[Slice], r_mm: Floats) -> Floats:
+    whole = np.array([[piece.azimuth == "mean"] for piece in pieces])
+    band = np.array([[piece.band_mm or 0.0] for piece in pieces])
+    if not band.any() and not whole.any():
+        return np.zeros_like(r_mm)
+    return np.where(whole, np.pi / 2, np.arcsin(np.minimum(1, band / 2 / np.maximum(r_mm, 1e-12))))
 
 
 def _window(piece: Slice, window_mm: tuple[float, float] | None) -> tuple[float, float]:
@@ -165,40 +184,21 @@ def _window(piece: Slice, window_mm: tuple[float, float] | None) -> tuple[float,
     return max(lo, RADII_FROM_SPOT * (piece.spot_radius_mm or 0.0), band / 2), hi
 
 
-def spot_is_seen(row: Row) -> bool:
-    """Whether the spot changes the innermost radius used by a share of its error; R_d ~ 1/r² to 1/r³ there."""
-    if not row.spot_radius > 0:
+def spots_are_seen(c: Curves) -> bool:
+    """Whether a spot changes the innermost radius used by a share of its error; R_d ~ 1/r² to 1/r³ there."""
+    if not c.spot_radius.any():
         return False
-    relative = float(np.median(1 / np.maximum(np.abs(row.rd * row.known), 1e-300))) if row.errors_known else 0.01
-    innermost = max(float((row.r_lo + row.r_hi).min()) / 2, RADII_FROM_SPOT * row.spot_radius)
-    return 9 / 8 * (row.spot_radius / innermost) ** 2 > SPOT_MATTERS * relative
+    data = np.where(c.known != 0, np.abs(c.rd * c.known), np.nan).reshape(c.rd.shape[0], -1)
+    relative = np.where(c.errors_known[:, 0], np.nanmedian(1 / np.maximum(data, 1e-300), axis=1), 0.01)
+    innermost = np.maximum((c.r_lo + c.r_hi).min(axis=1) / 2, RADII_FROM_SPOT * c.spot_radius[:, 0])
+    wide = np.where(c.spot_radius[:, 0] > 0, 9 / 8 * (c.spot_radius[:, 0] / innermost) ** 2, 0.0)
+    return bool((wide > SPOT_MATTERS * relative).any())
 
 
-def stack(rows: Sequence[Row], *, least_u: int = 0) -> Curves:
-    """The rows padded to one length; radii that stand twice are looked at once."""
-    folded = [_fold(row) for row in rows]
-    u = max(least_u, max(f["r_lo"].size for f in folded))
-    m = max(f["rd"].shape[1] for f in folded)
-    out: dict[str, Any] = {}
-    for key in ("r_lo", "r_hi", "arc"):
-        out[key] = np.stack([_padded(f[key], u) for f in folded])
-    for key in ("rd", "known"):
-        out[key] = np.stack([np.pad(f[key], ((0, u - f[key].shape[0]), (0, m - f[key].shape[1]))) for f in folded])
-    few = [_few(f, row.window) for f, row in zip(folded, rows, strict=True)]
-    for at, key in enumerate(("few_r", "few_rd", "few_known")):
-        out[key] = np.stack([each[at] for each in few])
-    return Curves(
-        errors_known=np.array([[row.errors_known] for row in rows]),
-        window=np.array([row.window for row in rows], float),
-        spot_radius=np.array([[row.spot_radius] for row in rows], float),
-        **out,
-    )
-
-
-def sight_of(piece: Slice, rows: Sequence[Row], curves: Curves, *, blurred: bool | None = None) -> Sight:
-    """What the rows, all of slices seen as `piece` was, have to go through."""
+def sight_of(piece: Slice, curves: Curves, *, blurred: bool | None = None) -> Sight:
+    """What the curves, all of slices seen as `piece` was, have to go through."""
     binned = bool((curves.r_hi > curves.r_lo).any())
-    blurred = any(spot_is_seen(row) for row in rows) if blurred is None else blurred
+    blurred = spots_are_seen(curves) if blurred is None else blurred
     return Sight(
         camera=piece.exit == "fresnel",
         cos_view=math.cos(math.radians(piece.view_angle_deg)),
@@ -209,35 +209,82 @@ def sight_of(piece: Slice, rows: Sequence[Row], curves: Curves, *, blurred: bool
     )
 
 
-def _last(holds: NDArray[np.bool_]) -> int:
+def _last(holds: Bools) -> int:
     """Columns up to the last in which any row holds."""
     at = np.flatnonzero(holds.any(axis=0))
     return int(at[-1]) + 1 if at.size else 0
 
 
-def _padded(values: Floats, size: int) -> Floats:
-    return np.concatenate([values, np.full(size - values.size, values[-1])])
+class _Data(NamedTuple):
+    """Padded rows, (b, n) each."""
+
+    r_lo: Floats
+    r_hi: Floats
+    arc: Floats
+    rd: Floats
+    known: Floats
+    there: Bools
 
 
-def _fold(row: Row) -> dict[str, Floats]:
-    order = np.lexsort((row.arc, row.r_hi, row.r_lo, row.r_lo + row.r_hi))
-    lo, hi, arc, rd, known = (each[order] for each in (row.r_lo, row.r_hi, row.arc, row.rd, row.known))
-    new = np.append(True, (np.diff(lo) != 0) | (np.diff(hi) != 0) | (np.diff(arc) != 0))
-    unit = np.cumsum(new) - 1
-    place = np.arange(lo.size) - np.flatnonzero(new)[unit]
-    shape = (int(unit[-1]) + 1, int(place.max()) + 1)
-    folded_rd, folded_known = np.zeros(shape), np.zeros(shape)
-    folded_rd[unit, place], folded_known[unit, place] = rd, known
-    return {"r_lo": lo[new], "r_hi": hi[new], "arc": arc[new], "rd": folded_rd, "known": folded_known}
+class _Folded(NamedTuple):
+    """The first fields of Curves."""
+
+    r_lo: Floats
+    r_hi: Floats
+    arc: Floats
+    rd: Floats
+    known: Floats
 
 
-def _few(f: dict[str, Floats], window: tuple[float, float]) -> tuple[Floats, Floats, Floats]:
-    """FEW radii spread evenly over those that may count, with the mean of their data."""
-    usable = (f["known"] != 0).any(axis=1) & (f["r_lo"] >= window[0]) & (f["r_hi"] <= window[1]) & (f["r_hi"] > 0)
-    at = np.flatnonzero(usable)
-    if not at.size:
-        return np.ones(FEW), np.zeros(FEW), np.zeros(FEW)
-    at = at[np.rint(np.linspace(0, at.size - 1, FEW)).astype(int)]
-    weight = np.square(f["known"][at]).sum(axis=1)
-    mean = (np.square(f["known"][at]) * f["rd"][at]).sum(axis=1) / weight
-    return (f["r_lo"][at] + f["r_hi"][at]) / 2, mean, np.sqrt(weight)
+def _ascending(data: _Data) -> _Data:
+    """By radius, what is not there last; a slice that is so already, as most are, is not sorted anew."""
+    middle = np.where(data.there, data.r_lo + data.r_hi, np.inf)
+    if ((middle[:, 1:] > middle[:, :-1]) | np.isinf(middle[:, 1:])).all():
+        return data
+    order = np.lexsort((data.arc, data.r_hi, data.r_lo, middle))
+    return _Data(*(np.take_along_axis(each, order, axis=1) for each in data))
+
+
+def _fold(data: _Data) -> _Folded:
+    """Equal radii as one, with all their data."""
+    differs = [each[:, 1:] != each[:, :-1] for each in (data.r_lo, data.r_hi, data.arc)]
+    new = data.there.copy()
+    new[:, 1:] &= differs[0] | differs[1] | differs[2]
+    if new.all():
+        return _Folded(data.r_lo, data.r_hi, data.arc, data.rd[..., None], data.known[..., None])
+    unit = np.maximum(np.cumsum(new, axis=1) - 1, 0)
+    first = np.maximum.accumulate(np.where(new, np.arange(new.shape[1]), 0), axis=1)
+    place = np.arange(new.shape[1]) - first
+    rows, columns = np.nonzero(data.there)
+    at = (rows, unit[rows, columns], place[rows, columns])
+    b, u, m = new.shape[0], int(unit.max()) + 1, int(place[data.there].max(initial=0)) + 1
+    last = np.maximum(new.sum(1) - 1, 0)
+    out = []
+    for each in (data.r_lo, data.r_hi, data.arc):
+        unique = np.zeros((b, u))
+        unique[at[:2]] = each[rows, columns]
+        out.append(np.where(np.arange(u) > last[:, None], unique[np.arange(b), last][:, None], unique))
+    for each in (data.rd, data.known):
+        folded = np.zeros((b, u, m))
+        folded[at] = each[rows, columns]
+        out.append(folded)
+    return _Folded(*out)
+
+
+def _reach(r: Floats, usable: Bools) -> Floats:
+    return np.stack([np.where(usable, r, np.inf).min(1), np.where(usable, r, 0.0).max(1)], axis=1)
+
+
+def _sampled(f: _Folded, usable: Bools) -> dict[str, Floats]:
+    """FEW radii of each row spread evenly over those that may count, with the mean of their data."""
+    count = usable.sum(1, keepdims=True)
+    rank = np.rint(np.maximum(count - 1, 0) * np.linspace(0, 1, FEW)).astype(int)
+    at = np.take_along_axis(np.argsort(~usable, axis=1, kind="stable"), rank, axis=1)
+    known, rd = (np.take_along_axis(each, at[..., None], axis=1) for each in (f.known, f.rd))
+    weight = np.square(known).sum(2)
+    some = count > 0
+    return {
+        "few_r": np.where(some, np.take_along_axis(f.r_lo + f.r_hi, at, axis=1) / 2, 1.0),
+        "few_rd": np.where(some, (np.square(known) * rd).sum(2) / np.where(weight > 0, weight, 1.0), 0.0),
+        "few_known": np.where(some, np.sqrt(weight), 0.0),
+    }

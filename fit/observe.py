@@ -91,9 +91,9 @@ def averaged(e: Engine, sight: Sight, at: Nodes, look: Look) -> Look:
     return value, by_x, by_q
 
 
-def plain(e: Engine, like: Any, log_sigma: Any, q: Any) -> Seen:
-    """A narrow beam, seen over all directions."""
-    zero = e.xp.zeros_like(like)
+def plain(e: Engine, log_sigma: Any, q: Any) -> Seen:
+    """A narrow beam, seen over all directions: the same at all radii."""
+    zero = e.xp.zeros_like(q)
     return Seen(zero, zero, zero, log_sigma, q)
 
 
@@ -103,7 +103,7 @@ def seen_at(e: Engine, sight: Sight, model: Light, c: Curves, log_sigma: Any, q:
     sigma = xp.exp(log_sigma)
     centre = xp.maximum((c.r_lo + c.r_hi) / 2, NEAREST_MFP / sigma)
     if not (sight.blurred or (sight.camera and model.name != "dipole")):
-        return plain(e, centre, log_sigma, q)
+        return plain(e, log_sigma, q)
     if sight.blurred:
         k = sight.blur_inner
         parts = [

@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 
 from bssrdf.errors import InputError
-from bssrdf.fit.batch import Fitted, Job, Options, fit_group, groups_of, picked
+from bssrdf.fit.batch import Fitted, Job, Options, fit_group, groups_of
 from bssrdf.fit.intervals import Profile, profile
 from bssrdf.fit.models import (
     ASSUMED_G,
@@ -29,6 +29,7 @@ from bssrdf.fit.verdict import FEWEST, Extra, channel_fits, covariances, inflati
 from bssrdf.session.flags import Flag
 from bssrdf.session.records import ChannelFit, Slice
 from bssrdf.transport import NORMAL, Policy
+from bssrdf.transport.arrays import picked
 from bssrdf.transport.light import Light, WhiteTable, coefficients
 
 OTHER_G = (0.0, 0.35, 0.6, 0.8, 0.9)
@@ -150,7 +151,6 @@ def _subset(fitted: Fitted, rows: np.ndarray) -> Fitted:
     judged = fitted.judged
     return fitted._replace(
         jobs=[fitted.jobs[row] for row in rows],
-        rows=[fitted.rows[row] for row in rows],
         data=picked(fitted.data, rows),
         found=picked(fitted.found, rows),
         judged=picked(judged._replace(sources={}), rows)._replace(

@@ -12,18 +12,24 @@ import numpy as np
 
 from bssrdf.fit.layout import Total
 from bssrdf.fit.terms import (
+    Gaps,
     Laid,
+    Looked,
     Neighbours,
     Plan,
     Point,
     Problem,
     System,
     Weights,
+    answering,
+    cost_at,
+    costly,
     curve,
     lay,
     lay_plainly,
+    look,
     system,
-    total_row,
+    totals_of,
     weigh,
 )
 from bssrdf.transport import R_MAX
@@ -39,6 +45,8 @@ REST = 1e-8
 NEAR = 1e-4
 """What spot and camera do, to first order about where it was worked out, is right to 1e-7 within this; and no step so
 short is refused, since the weights that follow it may cost more than it gains."""
+LAID = 1e-5
+"""Between one laying and the next, after which none is needed: each brings the point some ten times nearer to rest."""
 QUIET, CREEPING, PATIENCE = 1e-5, 1e-3, 12
 """In standard deviations: a shorter step is rest; after so many steps a longer one is, since where the data hardly tell
 a search creeps along as its weights follow."""
@@ -90,11 +98,16 @@ class Marginal(NamedTuple):
     """(b, K): those errors, in their sd."""
     answer: Any
     """(b, K, p): how they fall as the free parameters grow."""
+    keeps: tuple[Any, Any] | None
+    """Where R is exact: (b, P) what q falls by as each other parameter grows, and (b, 1) the q that is missing."""
 
 
 class _State(NamedTuple):
     trial: Point
+    errors: Any
+    """(b, K): the shared errors there, if all were linear."""
     best: Point
+    laid: Laid
     here: Marginal
     weights: Weights
     damping: Any
@@ -129,23 +142,23 @@ def starts_of(plan: Plan) -> tuple[tuple[int, ...], tuple[int, ...]]:
 def settle(e: Engine, plan: Plan, model: Light, data: Problem, begin: Point, beside: Neighbours) -> Solution:
     """The optimum near `begin`, at rest."""
     xp = e.xp
-    costly = any(sight.blurred or sight.camera for sight in plan.sights)
-    near = NEAR if costly else 10 * REST
-
-    def again(state: tuple[Solution, Any, Any, Any]) -> tuple[Solution, Any, Any, Any]:
-        last, number, *_ = state
-        laid = lay(e, plan, model, data, last.point, beside)
-        found = optimise(e, plan, model, data, laid, last.point, REST, relay=True, shared=last.shared)
-        quiet = xp.abs(found.cost - last.cost) < GAINED
-        return found, number + 1, _distance(xp, found.point, last.point) > near, quiet
-
     laid = lay(e, plan, model, data, begin, beside)
     if plan.constraint == "exact":
         seen = data.totals[0].r / laid.total_seen[0]
         begin = begin._replace(q=xp.where(seen < 1, q_of_total(e, model, xp.minimum(seen, 1.0)), begin.q))
+    if not costly(plan):
+        return optimise(e, plan, model, data, laid, begin, REST, relay=True, beside=beside)
+
+    def again(state: tuple[Solution, Any, Any, Any], data: Problem) -> tuple[Solution, Any, Any, Any]:
+        last, number, *_ = state
+        laid = lay(e, plan, model, data, last.point, beside, last.laid.nodes)
+        found = optimise(e, plan, model, data, laid, last.point, REST, relay=True, shared=last.shared)
+        quiet = xp.abs(found.cost - last.cost) < GAINED
+        return found, number + 1, _distance(xp, found.point, last.point) > LAID, quiet
+
     first = optimise(e, plan, model, data, laid, begin, ROUGH, relay=True)
-    begun = (first, xp.asarray(0), first.cost < np.inf, first.cost < 0)
-    found, _, moving, quiet = e.loop(lambda s: s[2] & (s[1] < LAYS), again, begun)
+    begun = (first, xp.zeros(first.cost.shape[0], dtype=xp.int32), first.cost < np.inf, first.cost < 0)
+    found, _, moving, quiet = e.loop(lambda s: s[2] & (s[1] < LAYS), again, begun, data)
     return found._replace(converged=(found.converged & ~moving) | quiet)
 
 
@@ -159,77 +172,79 @@ def optimise(
     settled: float,
     *,
     relay: bool,
+    beside: Neighbours | None = None,
     weights: Weights | None = None,
     shared: Any = None,
     held_q: bool = False,
     most: int = MAX_STEPS,
 ) -> Solution:
-    """Damped Gauss–Newton from `begin`; with `relay` the weights follow each step, else they stay as given."""
+    """Damped Gauss–Newton from `begin`; with `relay` the weights follow each step, with `beside` the shared responses
+    too, else they stay as given."""
     xp = e.xp
     columns = _free(plan, held_q)
     b = begin.q.shape[0]
     zeros = xp.zeros(b)
-    shared = xp.zeros((b, laid.responses[0].shape[1])) if shared is None else shared
 
-    def look(at: Point) -> tuple[Any, ...]:
-        return tuple(curve(e, plan, model, laid, at, k) for k in range(len(plan.sights)))
+    def reduced(data: Problem, laid: Laid, seen: Looked, by: Weights) -> Marginal:
+        gaps = totals_of(e, data, laid, seen)
+        return marginal(e, plan, gaps, system(e, plan, data, laid, seen, gaps, by), columns)
 
-    def reduced(at: Point, looks: Any, by: Weights) -> Marginal:
-        return marginal(e, plan, model, data, laid, at, system(e, plan, model, data, laid, at, looks, by), columns)
-
-    def weighed(at: Point, looks: Any, errors: Any) -> Weights:
-        return weigh(e, plan, model, data, laid, at, tuple(each[0] for each in looks), errors)
-
-    def step(s: _State) -> _State:
-        looks = look(s.trial)
-        better = reduced(s.trial, looks, s.weights).cost <= s.here.cost + SLACK * (1 + s.here.cost)
-        better = better | (xp.isfinite(s.here.cost) & (_distance(xp, s.trial, s.best) < NEAR))
-        by = s.weights
-        if relay:
-            by = _chosen(xp, better, weighed(s.trial, looks, s.here.shared), s.weights)
-        best = _chosen(xp, better, s.trial, s.best)
-        here = _chosen(xp, better, reduced(s.trial, looks, by), s.here)
-        damping = xp.where(better, s.damping * 0.1, xp.maximum(s.damping, 1e-3) * 10)
+    def ahead(best: Point, here: Marginal, damping: Any) -> tuple[Any, Any, Point]:
+        """The next move, and shared errors and point after it."""
         move = solve_damped(xp, here.curvature, here.gradient, damping)
         if columns == (0, 1):
             move = _within(xp, model, best.q, move, here, damping)
         move = move * xp.minimum(1.0, LONGEST_STEP / xp.maximum(xp.abs(move).max(1), TINY_MOVE))[:, None]
         errors = here.shared - xp.matmul(here.answer, move[:, :, None])[:, :, 0]
-        trial = _moved(e, plan, model, data, laid, best, move, errors, columns)
+        return move, errors, _moved(e, plan, model, best, here, move, errors, columns)
+
+    def step(s: _State, data: Problem) -> _State:
+        seen, laid, by = look(e, plan, model, s.laid, s.trial), s.laid, s.weights
+        if beside is not None:
+            laid = answering(e, plan, model, data, laid, s.trial, beside, seen.curves)
+        if relay:
+            by = weigh(e, plan, model, data, laid, s.trial, seen, s.errors)
+        there = reduced(data, laid, seen, by)
+        cost = cost_at(e, plan, data, laid, seen, s.weights) if relay else there.cost
+        better = cost <= s.here.cost + SLACK * (1 + s.here.cost)
+        better = better | (xp.isfinite(s.here.cost) & (_distance(xp, s.trial, s.best) < NEAR))
+        best, laid, here, by = e.chosen(better, (s.trial, laid, there, by), (s.best, s.laid, s.here, s.weights))
+        damping = xp.where(better, s.damping * 0.1, xp.maximum(s.damping, 1e-3) * 10)
+        move, errors, trial = ahead(best, here, damping)
         quiet = xp.where(s.steps < PATIENCE, QUIET, CREEPING)
         short = (_distance(xp, trial, best) < settled) | (xp.abs((move * here.gradient).sum(1)) < quiet**2)
         done = (better & short) | (damping > 1e12) | ~xp.isfinite(here.cost)
-        stepped = _State(trial, best, here, by, damping, s.steps + 1, done)
-        return _State(*(_chosen(xp, s.done, o, n) for o, n in zip(s, stepped, strict=True)))
+        return _State(trial, errors, best, laid, here, by, damping, s.steps + 1, done)
 
-    by = weighed(begin, look(begin), shared) if weights is None else weights
-    p = len(columns)
-    k = shared.shape[1]
-    here = Marginal(zeros + np.inf, xp.zeros((b, p)), xp.zeros((b, p, p)) + xp.eye(p), shared, xp.zeros((b, k, p)))
-    first = _State(begin, begin, here, by, zeros, xp.zeros(b, dtype=xp.int32), zeros > 1)
-    last = e.loop(lambda s: ~s.done & (s.steps < most), step, first)
-    point = _chosen(xp, last.damping < 1, last.trial, last.best)
-    return Solution(
-        point, laid, last.weights, last.here.shared, last.here.cost, last.done & xp.isfinite(last.here.cost)
-    )
+    shared = xp.zeros((b, laid.responses[0].shape[1])) if shared is None else shared
+    seen = look(e, plan, model, laid, begin)
+    by = weigh(e, plan, model, data, laid, begin, seen, shared) if weights is None else weights
+    here = reduced(data, laid, seen, by)
+    _, errors, trial = ahead(begin, here, zeros)
+    first = _State(trial, errors, begin, laid, here, by, zeros, xp.zeros(b, dtype=xp.int32), ~xp.isfinite(here.cost))
+    last = e.loop(lambda s: ~s.done & (s.steps < most), step, first, data)
+    point, shared = e.chosen(last.damping < 1, (last.trial, last.errors), (last.best, last.here.shared))
+    converged = last.done & xp.isfinite(last.here.cost)
+    return Solution(point, last.laid, last.weights, shared, last.here.cost, converged)
 
 
-def marginal(
-    e: Engine, plan: Plan, model: Light, data: Problem, laid: Laid, at: Point, full: System, columns: tuple[int, ...]
-) -> Marginal:
+def marginal(e: Engine, plan: Plan, gaps: Gaps, full: System, columns: tuple[int, ...]) -> Marginal:
     """The normal equations in some columns alone. Where R is exact it fixes q given all else: that goes first."""
     xp = e.xp
-    lift, shift = elimination(e, plan, model, data, laid, at)
-    moved = xp.matmul(full.matrix, shift[:, :, None])[:, :, 0]
-    cost = full.cost - 2 * (shift * full.gradient).sum(1) + (shift * moved).sum(1)
-    down = xp.swapaxes(lift, 1, 2)
-    gradient = xp.matmul(down, (full.gradient - moved)[:, :, None])[:, :, 0]
-    matrix = xp.matmul(down, xp.matmul(full.matrix, lift))
+    cost, gradient, matrix = full
+    keeps = keeping(plan, gaps)
+    if keeps is not None:
+        lift, shift = elimination(e, keeps)
+        moved = xp.matmul(matrix, shift[:, :, None])[:, :, 0]
+        cost = cost - 2 * (shift * gradient).sum(1) + (shift * moved).sum(1)
+        down = xp.swapaxes(lift, 1, 2)
+        gradient = xp.matmul(down, (gradient - moved)[:, :, None])[:, :, 0]
+        matrix = xp.matmul(down, xp.matmul(matrix, lift))
     free, rest = np.array(columns), np.arange(3, gradient.shape[1])
     g, h = gradient[:, free], matrix[:, free][:, :, free]
+    g_rest, h_rest, cross = gradient[:, 3:], matrix[:, 3:, 3:], matrix[:, 3:][:, :, free]
     if not rest.size:
-        return Marginal(cost, g, h, gradient[:, rest], matrix[:, rest][:, :, free])
-    g_rest, h_rest, cross = gradient[:, rest], matrix[:, rest][:, :, rest], matrix[:, rest][:, :, free]
+        return Marginal(cost, g, h, g_rest, cross, keeps)
     solved = xp.linalg.solve(h_rest, xp.concatenate([g_rest[:, :, None], cross], axis=2))
     errors, answer = solved[:, :, 0], solved[:, :, 1:]
     turn = xp.swapaxes(cross, 1, 2)
@@ -239,44 +254,43 @@ def marginal(
         curvature=h - xp.matmul(turn, answer),
         shared=errors,
         answer=answer,
+        keeps=keeps,
     )
 
 
-def elimination(e: Engine, plan: Plan, model: Light, data: Problem, laid: Laid, at: Point) -> tuple[Any, Any]:
+def keeping(plan: Plan, gaps: Gaps) -> tuple[Any, Any] | None:
+    """Where R is exact: what q falls by as each other parameter grows, and the q that is missing; see `Marginal`."""
+    if plan.constraint != "exact":
+        return None
+    (gap,), (row,) = gaps
+    return row / row[:, 1:2], gap / row[:, 1:2]
+
+
+def elimination(e: Engine, keeps: tuple[Any, Any]) -> tuple[Any, Any]:
     """(b, P, P) that lifts a move of all other parameters to one that keeps R, and the (b, P) move that meets R."""
     xp = e.xp
-    size = 3 + laid.responses[0].shape[1]
-    b = at.q.shape[0]
-    lift = xp.zeros((b, size, size)) + xp.eye(size)
-    if plan.constraint != "exact":
-        return lift, xp.zeros((b, size))
-    gap, row = total_row(e, model, data, laid, at, 0)
-    unit = xp.asarray(np.eye(size)[1])
-    lift = lift - unit[None, :, None] * (row / row[:, 1:2])[:, None, :]
-    return lift, unit[None, :] * gap / row[:, 1:2]
+    falls, missing = keeps
+    eye = np.eye(falls.shape[1])
+    unit = xp.asarray(eye[1])
+    return xp.asarray(eye) - unit[None, :, None] * falls[:, None, :], unit[None, :] * missing
 
 
 def _moved(
-    e: Engine, plan: Plan, model: Light, data: Problem, laid: Laid, at: Point, move: Any, errors: Any,
-    columns: tuple[int, ...],
-) -> Point:  # fmt: skip
+    e: Engine, plan: Plan, model: Light, at: Point, here: Marginal, move: Any, errors: Any, columns: tuple[int, ...]
+) -> Point:
     """The point after a move of the free parameters; q stays within the model."""
     xp = e.xp
-    b = move.shape[0]
-    given = {column: move[:, i : i + 1] for i, column in enumerate(columns)}
-    zero = xp.zeros((b, 1))
-    full = xp.concatenate([given.get(k, zero) for k in range(3)], axis=1)
-    q_move = full[:, 1:2]
-    if plan.constraint == "exact":
-        lift, shift = elimination(e, plan, model, data, laid, at)
-        every = xp.concatenate([full, errors], axis=1)
-        q_move = (lift[:, 1] * every).sum(1, keepdims=True) + shift[:, 1:2]
-        q_move = xp.clip(q_move, -0.5, 0.5)
+    zero = xp.zeros_like(at.q)
+    s, q_move, c = (move[:, columns.index(k)][:, None] if k in columns else zero for k in range(3))
+    if here.keeps is not None:
+        falls, missing = here.keeps
+        every = xp.concatenate([s, zero, c, errors], axis=1)
+        q_move = xp.clip(missing - (falls * every).sum(1, keepdims=True), -0.5, 0.5)
     q = xp.clip(at.q + q_move, -model.q_max, model.q_max)
     q = xp.where(at.q > 0, xp.maximum(q, at.q / LEAST_Q_STEP - PAST_ZERO), q)
     if not plan.totals:
         q = xp.abs(q)  # a curve alone is even in q
-    return Point(at.log_sigma + full[:, 0:1], q, at.log_scale + full[:, 2:3])
+    return Point(at.log_sigma + s, q, at.log_scale + c)
 
 
 def solve_damped(xp: Any, curvature: Any, gradient: Any, damping: Any) -> Any:
@@ -309,18 +323,18 @@ def _free(plan: Plan, held_q: bool) -> tuple[int, ...]:
     return (0, *q, *((2,) if plan.scale_free else ()))
 
 
-def _chosen(xp: Any, test: Any, a: Any, b: Any) -> Any:
-    """`a` where the test holds, else `b`, through tuples of arrays."""
-    if isinstance(b, tuple):
-        made = [_chosen(xp, test, x, y) for x, y in zip(a, b, strict=True)]
-        return type(b)(*made) if hasattr(b, "_fields") else tuple(made)
-    return xp.where(test.reshape((-1,) + (1,) * (b.ndim - 1)), a, b)
-
-
 def _few_of(e: Engine, plan: Plan, data: Problem) -> tuple[Problem, Plan]:
     """A sample of the radii of every slice as plain curves of a narrow beam."""
     curves = tuple(
-        c._replace(r_lo=c.few_r, r_hi=c.few_r, arc=0 * c.few_r, rd=c.few_rd[..., None], known=c.few_known[..., None])
+        c._replace(
+            r_lo=c.few_r,
+            r_hi=c.few_r,
+            arc=0 * c.few_r,
+            rd=c.few_rd[..., None],
+            known=c.few_known[..., None],
+            log_r=e.xp.log(c.few_r),
+            within=c.few_known > 0,
+        )
         for c in data.curves
     )
     plain = tuple(s._replace(camera=False, binned=False, inner=0, blurred=False, blur_inner=0) for s in plan.sights)

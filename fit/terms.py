@@ -8,6 +8,7 @@ deviation of each shared error. The responses are the model's: taken from noisy 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import reduce
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -39,6 +40,9 @@ EXIT_MODES = 2
 """Amplitude, and slope in ln r."""
 FADE = 0.1
 """In ln r: over this a radius passes out of a window that hangs on the fit itself, so that no result jumps there."""
+OF_MEDIUM: tuple[Source, ...] = ("eta", "g")
+OF_CURVE: tuple[Source, ...] = ("length", *OF_MEDIUM)
+"""Errors whose responses ask for the curve itself."""
 SLOPE_Q = 1e-4
 """Where the slope of the total at R = 1 is taken."""
 SPOT_STEP = 0.02
@@ -108,6 +112,24 @@ class Laid(NamedTuple):
     """By total, (b, K): of ln R."""
 
 
+class Looked(NamedTuple):
+    """What the model has at a point."""
+
+    curves: tuple[tuple[Any, Any, Any], ...]
+    """By slice, (b, u) each: what is seen [1/mm²] and its slopes by ln σt′ and q."""
+    total: tuple[Any, Any]
+    """R and its slope by q, taken beside q = 0."""
+
+
+class Gaps(NamedTuple):
+    """By total."""
+
+    gaps: tuple[Any, ...]
+    """(b, 1): R measured less that of the model."""
+    rows: tuple[Any, ...]
+    """(b, P): slopes of the model's by every parameter."""
+
+
 class Weights(NamedTuple):
     """Weights in force. By slice: (b, u) Σ w² over the data of a radius, and their weighted mean."""
 
@@ -129,23 +151,38 @@ Neighbours = Mapping[str, tuple[Light, float]]
 """By `eta` and `g`: a model a little aside, and how far."""
 
 
-def lay(e: Engine, plan: Plan, model: Light, data: Problem, at: Point, beside: Neighbours) -> Laid:
-    """Nodes, exit law, spot and shared responses at a point."""
+def lay(
+    e: Engine, plan: Plan, model: Light, data: Problem, at: Point, beside: Neighbours, grid: tuple[Nodes, ...] = ()
+) -> Laid:
+    """Exit law, spot and shared responses at a point; `grid` where it was made before, since no point moves it."""
     sights = list(zip(plan.sights, data.curves, strict=True))
-    grid = tuple(nodes(e, sight, c) for sight, c in sights)
+    grid = grid or tuple(nodes(e, sight, c) for sight, c in sights)
     seen = tuple(seen_at(e, sight, model, c, at.log_sigma, at.q) for sight, c in sights)
-    light = [total_seen(e, plan.sights[k], model, at.q) for k in plan.totals]
-    begun = Laid(grid, seen, (), tuple(light), ())
-    return begun._replace(
-        responses=tuple(_responses(e, plan, model, data, begun, at, beside, k) for k in range(len(sights))),
+    light = tuple(total_seen(e, plan.sights[k], model, at.q) for k in plan.totals)
+    return answering(e, plan, model, data, Laid(grid, seen, (), light, ()), at, beside)
+
+
+def answering(
+    e: Engine, plan: Plan, model: Light, data: Problem, laid: Laid, at: Point, beside: Neighbours, looks: Any = ()
+) -> Laid:
+    """With the shared responses of a point; `looks` where the curves there are known."""
+    if not looks and any(each.source in OF_CURVE for each in plan.shared):
+        looks = tuple(curve(e, plan, model, laid, at, k) for k in range(len(plan.sights)))
+    return laid._replace(
+        responses=tuple(_responses(e, plan, model, data, laid, at, looks, beside, k) for k in range(len(plan.sights))),
         total_responses=tuple(_total_responses(e, plan, model, data, at, beside, k) for k in plan.totals),
     )
+
+
+def costly(plan: Plan) -> bool:
+    """Whether laying anew costs more than a step of the search: spot, camera, or a model a little aside."""
+    return any(s.blurred or s.camera for s in plan.sights) or any(each.source in OF_MEDIUM for each in plan.shared)
 
 
 def lay_plainly(e: Engine, plan: Plan, data: Problem, at: Point) -> Laid:
     """A narrow beam, seen over all directions, and no shared error: for a start."""
     grid = tuple(nodes(e, sight, c) for sight, c in zip(plan.sights, data.curves, strict=True))
-    seen = tuple(plain(e, c.r_lo, at.log_sigma, at.q) for c in data.curves)
+    seen = tuple(plain(e, at.log_sigma, at.q) for _ in data.curves)
     none = tuple(e.xp.zeros((c.r_lo.shape[0], 0, c.r_lo.shape[1])) for c in data.curves)
     ones = tuple(e.xp.ones_like(at.q) for _ in plan.totals)
     return Laid(grid, seen, none, ones, tuple(e.xp.zeros((at.q.shape[0], 0)) for _ in plan.totals))
@@ -164,26 +201,49 @@ def curve(e: Engine, plan: Plan, model: Light, laid: Laid, at: Point, k: int) ->
     return value, value * (2 + seen.by_log_sigma) + by_x, by_q + value * seen.by_q
 
 
-def total(e: Engine, model: Light, q: Any) -> tuple[Any, Any]:
-    """R, with its slope taken beside q = 0."""
-    return model.total(e, q)[0], model.total(e, e.xp.maximum(e.xp.abs(q), SLOPE_Q))[1]
+def look(e: Engine, plan: Plan, model: Light, laid: Laid, at: Point) -> Looked:
+    """All that the objective asks of the model at a point."""
+    curves = tuple(curve(e, plan, model, laid, at, k) for k in range(len(plan.sights)))
+    beside_0 = e.xp.maximum(e.xp.abs(at.q), SLOPE_Q)
+    value, slope = model.total(e, e.xp.concatenate([at.q, beside_0], axis=1))
+    return Looked(curves, (value[:, :1], slope[:, 1:]))
+
+
+def totals_of(e: Engine, data: Problem, laid: Laid, seen: Looked) -> Gaps:
+    """R measured against that of the model."""
+    xp = e.xp
+    value, by_q = seen.total
+    zero = xp.zeros_like(value)
+    gaps = tuple(each.r / law - value for each, law in zip(data.totals, laid.total_seen, strict=True))
+    rows = tuple(xp.concatenate([zero, by_q, zero, value * each], axis=1) for each in laid.total_responses)
+    return Gaps(gaps, rows)
 
 
 def weigh(
-    e: Engine, plan: Plan, model: Light, data: Problem, laid: Laid, at: Point, values: tuple[Any, ...], shared: Any
+    e: Engine, plan: Plan, model: Light, data: Problem, laid: Laid, at: Point, seen: Looked, shared: Any
 ) -> Weights:
-    """Window and weights about the model's curve `values` and not about the data; `shared`: fitted shared errors."""
+    """Window and weights about the model's curve and not about the data; `shared`: fitted shared errors."""
     xp = e.xp
     masses, means = [], []
     for k, c in enumerate(data.curves):
-        w2 = squares(e, plan, model, data, at, values[k], k)
+        value = seen.curves[k][0]
+        w2 = squares(e, plan, model, data, at, value, k)
         if plan.robust:
-            fitted = values[k] * (1 + (laid.responses[k] * shared[:, :, None]).sum(1))
-            w2 = w2 * _huber(e, c, w2, fitted)
-        mass = w2.sum(2)
+            w2 = w2 * _huber(e, c, w2, value * (1 + answer_of(e, laid.responses[k], shared)))
+        mass = over_data(w2)
         masses.append(mass)
-        means.append((w2 * c.rd).sum(2) / xp.where(mass > 0, mass, 1.0))
+        means.append(over_data(w2 * c.rd) / xp.where(mass > 0, mass, 1.0))
     return Weights(tuple(masses), tuple(means))
+
+
+def over_data(each: Any) -> Any:
+    """The sum over the few data of a radius, (b, u): faster than that of an array library over so short an axis."""
+    return sum(each[..., k] for k in range(1, each.shape[-1])) + each[..., 0]
+
+
+def answer_of(e: Engine, responses: Any, shared: Any) -> Any:
+    """What shared errors of this size do to ln of a curve, (b, u)."""
+    return e.xp.matmul(shared[:, None, :], responses)[:, 0]
 
 
 def squares(e: Engine, plan: Plan, model: Light, data: Problem, at: Point, value: Any, k: int) -> Any:
@@ -191,31 +251,27 @@ def squares(e: Engine, plan: Plan, model: Light, data: Problem, at: Point, value
     xp = e.xp
     c = data.curves[k]
     value = xp.maximum(value, TINY**0.25)
-    inside = window(e, model, c, at.log_sigma)[..., None] * (c.known != 0)
     allowed = xp.square(model_sd(e, plan, model, data, at, value, k))[..., None]
     known2 = c.known * c.known
-    relative = 1 / xp.square(value)[..., None] + 0 * known2
-    return inside * xp.where(c.errors_known[..., None], known2 / (1 + known2 * allowed), relative)
+    relative = (known2 != 0) / xp.square(value)[..., None]
+    w2 = xp.where(c.errors_known[..., None], known2 / (1 + known2 * allowed), relative)
+    return window(e, model, c, at.log_sigma)[..., None] * w2
 
 
 def model_sd(e: Engine, plan: Plan, model: Light, data: Problem, at: Point, value: Any, k: int) -> Any:
     """What the model may be off by at each radius for itself."""
-    relative = e.xp.zeros_like(value) + model.relative_error
-    if plan.sights[k].camera:
-        relative = e.xp.hypot(relative, exit_rel_sd(e, model, data.curves[k], e.xp.exp(at.log_sigma)))
-    return relative * value
+    if not plan.sights[k].camera:
+        return model.relative_error * value
+    return value * e.xp.hypot(model.relative_error, exit_rel_sd(e, model, data.curves[k], e.xp.exp(at.log_sigma)))
 
 
 def window(e: Engine, model: Light, c: Curves, log_sigma: Any) -> Any:
     """1 within the caller's window and the model's, which fades out, else 0."""
     xp = e.xp
-    given = (c.r_lo >= c.window[:, :1]) & (c.r_hi <= c.window[:, 1:])
-    log_x = xp.log(xp.maximum(c.r_lo + c.r_hi, TINY) / 2) + log_sigma
+    log_x = c.log_r + log_sigma
     lo, hi = model.window_mfp
-    inside = xp.clip((np.log(hi) - log_x) / FADE + 0.5, 0, 1)
-    if lo > 0:
-        inside = inside * xp.clip((log_x - np.log(lo)) / FADE + 0.5, 0, 1)
-    return given * inside
+    inside = c.within * xp.clip((np.log(hi) - log_x) / FADE + 0.5, 0, 1)
+    return inside * xp.clip((log_x - np.log(lo)) / FADE + 0.5, 0, 1) if lo > 0 else inside
 
 
 def _huber(e: Engine, c: Curves, w2: Any, fitted: Any) -> Any:
@@ -229,43 +285,54 @@ def _huber(e: Engine, c: Curves, w2: Any, fitted: Any) -> Any:
     return xp.minimum(1.0, HUBER * scatter / xp.maximum(distance, 1e-12))
 
 
-def system(
-    e: Engine, plan: Plan, model: Light, data: Problem, laid: Laid, at: Point, looks: Any, by: Weights
-) -> System:
+def system(e: Engine, plan: Plan, data: Problem, laid: Laid, seen: Looked, totals: Gaps, by: Weights) -> System:
     """The sum over curves, soft totals and priors."""
     xp = e.xp
-    cost = gradient = matrix = 0.0
-    for k, look in enumerate(looks):
-        x = rows_of(e, laid, look, k)
-        weighed = x * by.mass[k][:, None, :]
-        miss = by.mean[k] - look[0]
-        cost = cost + (by.mass[k] * miss * miss).sum(1)
-        gradient = gradient + (weighed * miss[:, None, :]).sum(2)
-        matrix = matrix + xp.matmul(weighed, xp.swapaxes(x, 1, 2))
+    size = 3 + len(plan.shared)
+    whole = 0.0
+    for k, each in enumerate(seen.curves):
+        root = xp.sqrt(by.mass[k])
+        rows = rows_of(e, laid, tuple(root * part for part in each), k, root * (by.mean[k] - each[0]))
+        whole = whole + xp.matmul(rows, xp.swapaxes(rows, 1, 2))
     if plan.constraint == "soft":
-        for k in range(len(plan.totals)):
-            gap, row = total_row(e, model, data, laid, at, k)
-            w = (1 / data.totals[k].sd) ** 2
-            cost = cost + (w * gap * gap)[:, 0]
-            gradient = gradient + w * gap * row
-            matrix = matrix + (w * row)[:, :, None] * row[:, None, :]
-    return System(cost, gradient, matrix + prior(e, plan))
+        for gap, row, each in zip(*totals, data.totals, strict=True):
+            one = xp.concatenate([row, gap], axis=1) / each.sd
+            whole = whole + one[:, :, None] * one[:, None, :]
+    return System(whole[:, size, size], whole[:, :size, size], whole[:, :size, :size] + prior(e, plan))
 
 
-def rows_of(e: Engine, laid: Laid, look: tuple[Any, Any, Any], k: int) -> Any:
-    """(b, P, u): slopes of slice k by every parameter."""
-    value, by_s, by_q = look
-    free = e.xp.stack([by_s, by_q, value], axis=1)
-    return e.xp.concatenate([free, value[:, None, :] * laid.responses[k]], axis=1)
-
-
-def total_row(e: Engine, model: Light, data: Problem, laid: Laid, at: Point, k: int) -> tuple[Any, Any]:
-    """R measured less that of the model (b, 1), and its slopes by every parameter (b, P)."""
+def cost_at(e: Engine, plan: Plan, data: Problem, laid: Laid, seen: Looked, by: Weights) -> Any:
+    """The objective (b,) with shared errors at their best; where R is exact, at the q near by that meets it."""
     xp = e.xp
-    value, by_q = total(e, model, at.q)
-    zero = xp.zeros_like(value)
-    row = xp.concatenate([zero, by_q, zero, value * laid.total_responses[k]], axis=1)
-    return data.totals[k].r / laid.total_seen[k] - value, row
+    gaps, rows = totals_of(e, data, laid, seen)
+    whole = 0.0
+    for k, (value, _, by_q) in enumerate(seen.curves):
+        parts = [*(value * each for each in _by_error(laid.responses[k])), by.mean[k] - value]
+        if plan.constraint == "exact":
+            away = xp.concatenate([rows[0][:, 3:], gaps[0]], axis=1) / rows[0][:, 1:2]
+            parts = [part - by_q * away[:, j : j + 1] for j, part in enumerate(parts)]
+        stacked = xp.stack(parts, axis=1) * xp.sqrt(by.mass[k])[:, None, :]
+        whole = whole + xp.matmul(stacked, xp.swapaxes(stacked, 1, 2))
+    if plan.constraint == "soft":
+        for gap, row, each in zip(gaps, rows, data.totals, strict=True):
+            one = xp.concatenate([row[:, 3:], gap], axis=1) / each.sd
+            whole = whole + one[:, :, None] * one[:, None, :]
+    if not plan.shared:
+        return whole[:, 0, 0]
+    fall = whole[:, :-1, -1]
+    best = xp.linalg.solve(whole[:, :-1, :-1] + xp.eye(fall.shape[1]), fall[:, :, None])[:, :, 0]
+    return whole[:, -1, -1] - (fall * best).sum(1)
+
+
+def rows_of(e: Engine, laid: Laid, seen: tuple[Any, Any, Any], k: int, miss: Any = None) -> Any:
+    """(b, P, u): slopes of slice k by every parameter, as large as what is `seen`; and `miss` as a last row."""
+    value, by_s, by_q = seen
+    rows = [by_s, by_q, value, *(value * each for each in _by_error(laid.responses[k]))]
+    return e.xp.stack(rows if miss is None else [*rows, miss], axis=1)
+
+
+def _by_error(responses: Any) -> list[Any]:
+    return [responses[:, j] for j in range(responses.shape[1])]
 
 
 def prior(e: Engine, plan: Plan) -> Any:
@@ -274,18 +341,16 @@ def prior(e: Engine, plan: Plan) -> Any:
 
 
 def _responses(
-    e: Engine, plan: Plan, model: Light, data: Problem, laid: Laid, at: Point, beside: Neighbours, k: int
+    e: Engine, plan: Plan, model: Light, data: Problem, laid: Laid, at: Point, looks: Any, beside: Neighbours, k: int
 ) -> Any:
     """(b, K, u) of ln of slice k's curve."""
     xp = e.xp
     c, sds, sight = data.curves[k], data.sds[k], plan.sights[k]
-    value, by_s, _ = curve(e, plan, model, laid, at, k)
     sigma = xp.exp(at.log_sigma)
-    x = xp.maximum(sigma * (c.r_lo + c.r_hi) / 2, NEAREST_MFP)
-    one = xp.ones_like(value)
-    modes = _cosines(xp, x, _extent(xp, data, sigma))
+    one = xp.ones_like(c.r_lo)
     view, by_eta = data.factor_slopes[k]
     tilt = float(np.sqrt(1 - sight.cos_view**2)) / sight.cos_view
+    waves = None
     columns = []
     for error in plan.shared:
         if k not in error.slices:
@@ -293,13 +358,14 @@ def _responses(
         elif error.source == "scale":
             response = sds.scale * one
         elif error.source == "length":
-            response = sds.length * by_s / value
+            response = sds.length * _relative(xp, looks[k][1], looks[k][0])
         elif error.source == "view":
             response = sds.view * (tilt + view) * one
         elif error.source == "exit":
             response = exit_modes(e, model, c, sigma)[error.mode]
         elif error.source == "table":
-            response = model.shape_sd(e, at.q, x) * modes[error.mode]
+            waves = waves or _waves(e, model, data, sigma, at.q, k)
+            response = waves[error.mode]
         elif error.source == "spot":
             wider = seen_at(
                 e, sight, model, c._replace(spot_radius=c.spot_radius * (1 + SPOT_STEP)), at.log_sigma, at.q
@@ -307,31 +373,33 @@ def _responses(
             response = sds.spot * (wider.log_ratio - laid.seen[k].log_ratio) / SPOT_STEP
         else:
             other, step = beside[error.source]
-            aside = xp.log(xp.maximum(curve(e, plan, other, laid, at, k)[0], TINY) / xp.maximum(value, TINY)) / step
+            aside = curve(e, plan, other, laid, at, k)[0]
+            aside = xp.log(xp.maximum(_relative(xp, aside, looks[k][0]), TINY)) / step
             response = getattr(sds, error.source) * (aside + (by_eta if error.source == "eta" else 0.0))
-        columns.append(xp.where(value > 0, response, 0.0))
-    return xp.stack(columns, axis=1) if columns else xp.zeros((value.shape[0], 0, value.shape[1]))
+        columns.append(response)
+    return xp.stack(columns, axis=1) if columns else xp.zeros((one.shape[0], 0, one.shape[1]))
 
 
-def _extent(xp: Any, data: Problem, sigma: Any) -> tuple[Any, Any]:
-    """Innermost and outermost of all radii that count, (b, 1) each, as the table counts them."""
-    lo, hi = np.inf + 0 * sigma, -np.inf + 0 * sigma
-    for c in data.curves:
-        used = (c.known != 0).any(2) & (c.r_lo >= c.window[:, :1]) & (c.r_hi <= c.window[:, 1:])
-        v = xp.log1p(sigma * (c.r_lo + c.r_hi) / 2 / R_ZERO)
-        lo = xp.minimum(lo, xp.where(used, v, np.inf).min(1, keepdims=True))
-        hi = xp.maximum(hi, xp.where(used, v, -np.inf).max(1, keepdims=True))
-    some = hi > lo
-    return xp.where(some, lo, 0.0), xp.where(some, hi, 1.0)
+def _relative(xp: Any, part: Any, value: Any) -> Any:
+    """part/value; 1 where the curve has sunk to 0."""
+    return xp.where(value > 0, part, 1.0) / xp.where(value > 0, value, 1.0)
 
 
-def _cosines(xp: Any, x: Any, extent: tuple[Any, Any]) -> list[Any]:
-    """Cosines over the data's extent, of the size that noise independent by knot has along them."""
-    lo, hi = extent
+def _waves(e: Engine, model: Light, data: Problem, sigma: Any, q: Any, k: int) -> list[Any]:
+    """The table's noise along slice k: cosines over the extent of all data, as the table counts radii, of the size that
+    noise independent by knot has along them."""
+    xp = e.xp
+    inner = reduce(xp.minimum, [c.reach[:, :1] for c in data.curves])
+    outer = reduce(xp.maximum, [c.reach[:, 1:] for c in data.curves])
+    lo, hi = (xp.log1p(sigma * xp.where(outer > 0, each, 0.0) / R_ZERO) for each in (inner, outer))
     span = xp.maximum(hi - lo, KNOT_STEP)
-    t = xp.clip((xp.log1p(x / R_ZERO) - lo) / span, 0, 1)
-    share = xp.sqrt(KNOT_STEP / span)
-    return [share * xp.ones_like(t)] + [np.sqrt(2) * share * xp.cos(np.pi * j * t) for j in range(1, TABLE_MODES)]
+    x = xp.maximum(sigma * (data.curves[k].r_lo + data.curves[k].r_hi) / 2, NEAREST_MFP)
+    first = xp.cos(np.pi * xp.clip((xp.log1p(x / R_ZERO) - lo) / span, 0, 1))
+    level = model.shape_sd(e, q, x) * xp.sqrt(KNOT_STEP / span)
+    cosines = [1 + 0 * first, first]
+    while len(cosines) < TABLE_MODES:
+        cosines.append(2 * first * cosines[-1] - cosines[-2])
+    return [level * (cosine if j == 0 else np.sqrt(2) * cosine) for j, cosine in enumerate(cosines)]
 
 
 def _total_responses(e: Engine, plan: Plan, model: Light, data: Problem, at: Point, beside: Neighbours, k: int) -> Any:

@@ -265,7 +265,7 @@ def _flags(fitted: Fitted, extra: Extra, row: int, interval: Interval, rel_sd: f
         Flag.SCALE_SUSPECT: not plan.scale_free and not all(
             _within_reason(p, job.channel, r) for p, r in zip(pieces, totals, strict=True)
         ),
-        Flag.SD_FILLED: any(each.filled for each in fitted.rows[row]),
+        Flag.SD_FILLED: any(bool(c.filled[row, 0]) for c in fitted.data.curves),
         Flag.SD_UNKNOWN: not known,
         Flag.SHAPE_MISFIT: known and float(judged.drift[row]) > MOST_DRIFT + own_drift,
         Flag.SIGMA_A_UNIDENTIFIABLE: not np.isfinite(interval[1]),

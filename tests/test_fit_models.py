@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from bssrdf.fit.free_g import fit_g
-from bssrdf.fit.layout import row_of, sight_of, stack
+from bssrdf.fit.layout import curves_of, sight_of
 from bssrdf.fit.observe import azimuths, seen_at
 from bssrdf.fit.run import FitOptions, fit_slices
 from bssrdf.fit.setting import setting_flags
@@ -121,10 +121,9 @@ def test_the_spots_blur_is_the_mean_over_the_spot() -> None:
     piece = Slice(
         channels={"G": ChannelSlice(r, r, 0.01 * r)}, eta=1.3, flux="entering", exit="hemisphere", spot_radius_mm=0.3
     )
-    row = row_of(piece, "G", None)
-    curves = stack([row])
+    curves = curves_of([piece], ["G"], None)
     log_sigma, q = (np.full((1, 1), each) for each in shape_of(sigma_a, sigma_sp))
-    sight = sight_of(piece, [row], curves, blurred=True)
+    sight = sight_of(piece, curves, blurred=True)
     ratio = np.exp(seen_at(NUMPY, sight, model, curves, log_sigma, q).log_ratio[0])
     rng = np.random.default_rng(0)
     offset = 0.3 / 2 * rng.standard_normal((400_000, 2))  # 1/e² radius is two standard deviations

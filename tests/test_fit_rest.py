@@ -12,7 +12,7 @@ import pytest
 
 from bssrdf.bench.trial_light import shipped
 from bssrdf.bench.trials import Drawn, slices_of
-from bssrdf.fit.batch import BATCH, Fitted, Job, Options, fit_group, picked
+from bssrdf.fit.batch import BATCH, Fitted, Job, Options, fit_group
 from bssrdf.fit.compiled import settled
 from bssrdf.fit.models import Making
 from bssrdf.fit.neighbours import refitted, table_error
@@ -22,7 +22,7 @@ from bssrdf.fit.terms import Point, Weights
 from bssrdf.rig.sim.light import seen_light
 from bssrdf.rig.sim.media import SampleMedium
 from bssrdf.session.records import ChannelSlice, Slice
-from bssrdf.transport.arrays import NUMPY
+from bssrdf.transport.arrays import NUMPY, picked
 from bssrdf.transport.dipole import Medium, rd, total_r
 from bssrdf.transport.light import WhiteTable, coefficients
 from bssrdf.transport.white.grid import R_ZERO, V_MAX

@@ -8,6 +8,7 @@ from typing import Any, Protocol, TypeVar
 import numpy as np
 
 State = TypeVar("State")
+Fixed = TypeVar("Fixed")
 
 
 class Engine(Protocol):
@@ -18,12 +19,19 @@ class Engine(Protocol):
         """The namespace: numpy or jax.numpy."""
         ...
 
-    def loop(self, go_on: Callable[[State], Any], body: Callable[[State], State], state: State) -> State:
-        """`body` applied as long as `go_on` holds for any row."""
+    def loop(
+        self, go_on: Callable[[State], Any], body: Callable[[State, Fixed], State], state: State, fixed: Fixed
+    ) -> State:
+        """`body` applied to each row as long as `go_on` (b,) holds for it. The arrays of the state and of what is fixed
+        have a row first."""
         ...
 
     def take(self, rows: Any, cell: Any) -> tuple[Any, ...]:
         """rows (b, k, n) at cell (b, p): k arrays (b, p)."""
+        ...
+
+    def chosen(self, test: Any, a: State, b: State) -> State:
+        """By row `a` where the test (b,) holds, else `b`, through tuples of arrays."""
         ...
 
 
@@ -35,15 +43,28 @@ class NumpyEngine:
         return np
 
     @staticmethod
-    def loop(go_on: Callable[[State], Any], body: Callable[[State], State], state: State) -> State:
-        while go_on(state).any():
-            state = body(state)
-        return state
+    def loop(go_on: Callable[[State], Any], body: Callable[[State, Fixed], State], state: State, fixed: Fixed) -> State:
+        whole, rows = state, None
+        while (on := go_on(state)).any():
+            if not on.all():  # those that are done leave
+                whole = state if rows is None else replaced(whole, rows, state)
+                rows = np.flatnonzero(on) if rows is None else rows[on]
+                state, fixed = picked(state, on), picked(fixed, on)
+            state = body(state, fixed)
+        return state if rows is None else replaced(whole, rows, state)
 
     @staticmethod
     def take(rows: Any, cell: Any) -> tuple[Any, ...]:
-        row = np.arange(rows.shape[0])[:, None]
-        return tuple(rows[:, k][row, cell] for k in range(rows.shape[1]))
+        b, k, n = rows.shape
+        flat = np.ascontiguousarray(rows).reshape(-1)
+        at = cell + (k * n * np.arange(b))[:, None]
+        return tuple(flat[i * n :].take(at) for i in range(k))  # four times as fast as rows[:, i][row, cell]
+
+    @staticmethod
+    def chosen(test: Any, a: State, b: State) -> State:
+        if test.all():
+            return a
+        return _chosen(np, test, a, b) if test.any() else b
 
 
 class JaxEngine:
@@ -60,8 +81,13 @@ class JaxEngine:
     def xp(self) -> Any:
         return self._xp
 
-    def loop(self, go_on: Callable[[State], Any], body: Callable[[State], State], state: State) -> State:
-        looped: State = self._while(lambda s: go_on(s).any(), body, state)
+    def loop(
+        self, go_on: Callable[[State], Any], body: Callable[[State, Fixed], State], state: State, fixed: Fixed
+    ) -> State:
+        def step(s: State) -> State:
+            return self.chosen(go_on(s), body(s, fixed), s)
+
+        looped: State = self._while(lambda s: go_on(s).any(), step, state)
         return looped
 
     def take(self, rows: Any, cell: Any) -> tuple[Any, ...]:
@@ -69,6 +95,38 @@ class JaxEngine:
         flat = self.xp.asarray(rows).reshape(-1)
         at = cell + (k * n * self.xp.arange(b, dtype=cell.dtype))[:, None]
         return tuple(flat.at[at + i * n].get(mode="promise_in_bounds") for i in range(k))
+
+    def chosen(self, test: Any, a: State, b: State) -> State:
+        return _chosen(self.xp, test, a, b)
+
+
+def _chosen(xp: Any, test: Any, a: Any, b: Any) -> Any:
+    if a is b:
+        return b
+    if isinstance(b, tuple):
+        made = [_chosen(xp, test, x, y) for x, y in zip(a, b, strict=True)]
+        return type(b)(*made) if hasattr(b, "_fields") else tuple(made)
+    return xp.where(test.reshape((-1,) + (1,) * (b.ndim - 1)), a, b)
+
+
+def picked(tree: Any, rows: Any) -> Any:
+    """Some rows of the arrays in nested tuples; what is no array stays."""
+    if isinstance(tree, tuple):
+        made = [picked(each, rows) for each in tree]
+        return type(tree)(*made) if hasattr(tree, "_fields") else tuple(made)
+    return tree[rows] if isinstance(tree, np.ndarray) else tree
+
+
+def replaced(tree: Any, rows: Any, new: Any) -> Any:
+    """The same with some rows from another."""
+    if isinstance(tree, tuple):
+        made = [replaced(old, rows, each) for old, each in zip(tree, new, strict=True)]
+        return type(tree)(*made) if hasattr(tree, "_fields") else tuple(made)
+    if not isinstance(tree, np.ndarray):
+        return tree
+    whole = tree.copy()
+    whole[rows] = new
+    return whole
 
 
 NUMPY = NumpyEngine()

@@ -153,28 +153,27 @@ class WhiteTable(NamedTuple):
         return xp.where(q >= 0, inside, 2 - inside), -inside * (2 * aq / 3 / albedo + by_u * u_q)
 
     def _multiple(self, e: Engine, q: Any, x: Any) -> Look:
-        """Light scattered twice or more: α′² e^S (1 + κx) e^(−κx), κ² = q² × `diffusion_ratio`."""
+        """Light scattered twice or more: α′² e^S (1 + y) e^(−y), y = κx, κ² = q² × `diffusion_ratio`."""
         xp = e.xp
         aq = xp.maximum(xp.abs(q), SMALLEST_Q)
         albedo = 1 - aq * aq / 3
         u, u_q = _u(xp, aq)
         ratio, ratio_u = _spline(e, self.diffusion_ratio[None], u)
-        kappa2, kappa2_q = aq * aq * ratio, 2 * aq * ratio + aq * aq * ratio_u * u_q
+        kappa_q = 1 / aq + ratio_u * u_q / (2 * ratio)  # of ln κ
         row, row_u = _rows(xp, self.log_curve, u[:, 0])
-        cell, f, v_x, inside = _along_v(xp, x, row.shape[-1])
-        smooth, smooth_v = _cubic(e.take(row, cell), f, row.shape[-1])
-        smooth_u = _cubic(e.take(row_u, cell), f, row.shape[-1])[0]
-        v = xp.log1p(x / R_ZERO) / V_MAX
-        beyond = 3 * V_MAX * xp.maximum(v - 1, 0.0)  # diffusing light goes on as the cube of the radius
-        y2 = kappa2 * x * x
-        y = xp.sqrt(y2)
-        decay, fall = (1 + y) * xp.exp(-y), -xp.exp(-y) / 2  # and its slope by y²
-        full = albedo * albedo * xp.exp(smooth - beyond)
-        value = full * decay
-        by_log_x = xp.where(inside, smooth_v, -3 * V_MAX) * v_x
-        by_x = value * by_log_x + full * fall * 2 * y2
-        by_q = value * (smooth_u * u_q - 4 * aq / 3 / albedo) + full * fall * x * x * kappa2_q
-        return value, by_x, xp.sign(q) * by_q
+        n = row.shape[-1]
+        v = xp.log1p(x / R_ZERO) * (n / V_MAX)
+        inside = xp.minimum(v, n)
+        cell, f = _cell(xp, inside, n)
+        smooth, smooth_v = _cubic(e.take(row, cell), f)
+        smooth_u = _cubic_value(e.take(row_u, cell), f)
+        beyond = inside - v  # diffusing light goes on as the cube of the radius
+        y = aq * xp.sqrt(ratio) * x
+        fallen = xp.exp(smooth + 3 * V_MAX / n * beyond - y + 2 * xp.log(albedo))
+        value, bent = fallen * (1 + y), fallen * y * y
+        by_log_x = xp.where(beyond < 0, -3 * V_MAX / n, smooth_v) * (n / V_MAX) * x / (x + R_ZERO)
+        by_q = value * (smooth_u * u_q - 4 * aq / 3 / albedo) - bent * kappa_q
+        return value, value * by_log_x - bent, xp.sign(q) * by_q
 
     def _scatter(self, aq: Any) -> tuple[Any, Any, Any, Any]:
         """σs/σt′ and σt/σt′, each with its slope by q."""
@@ -187,11 +186,13 @@ class WhiteTable(NamedTuple):
         aq = xp.maximum(xp.abs(q), SMALLEST_Q)
         s, s_q, t, t_q = self._scatter(aq)
         rho = t * x
-        w = xp.log1p(rho / RHO_ZERO) / W_MAX
-        level, level_w = _spline(e, self.first[None], xp.minimum(w, 1.0))
-        value = s / x * xp.exp(level - self.first_decay * rho)
-        slope = xp.where(w < 1, level_w, 0.0) * rho / (rho + RHO_ZERO) / W_MAX - self.first_decay * rho
-        return value, value * (slope - 1), xp.sign(q) * value * (s_q / s + slope * t_q / t)
+        n = self.first.shape[-1]
+        w = xp.log1p(rho / RHO_ZERO) * (n / W_MAX)
+        cell, f = _cell(xp, xp.minimum(w, n), n)
+        level, level_w = _cubic(_powers(e, self.first, cell), f)
+        value = s * xp.exp(level - self.first_decay * rho) / x
+        slope = rho * (xp.where(w < n, level_w, 0.0) * (n / W_MAX) / (rho + RHO_ZERO) - self.first_decay)
+        return value, value * (slope - 1), xp.sign(q) * value * (s_q / s + slope * (t_q / t))
 
     def radiance(self, e: Engine, q: Any, x: Any, mu: float, cos_2: Any, along: Any) -> Look:
         xp = e.xp
@@ -200,13 +201,14 @@ class WhiteTable(NamedTuple):
         mean, across = _exit_bases(self.eta, mu)
         row, row_u = _rows(xp, self.angles, u[:, 0])
         n = row.shape[-1]
-        cell, f, v_x, inside = _along_v(xp, x, n)
+        v = xp.log1p(x / R_ZERO) * (n / V_MAX)
+        cell, f = _cell(xp, xp.minimum(v, n), n)
+        v_x = xp.where(v < n, n / V_MAX * x / (x + R_ZERO), 0.0)
         parts = []
         for basis, k in ((mean, slice(0, mean.size)), (across, slice(mean.size, None))):
             here, here_u = ((basis[:, None, None] * each[:, k]).sum(1) for each in (row, row_u))
-            value, by_v = _cubic(e.take(here, cell), f, n)
-            by_u = _cubic(e.take(here_u, cell), f, n)[0]
-            parts.append((value, xp.where(inside, by_v, 0.0) * v_x, by_u * u_q * xp.sign(q)))
+            value, by_v = _cubic(e.take(here, cell), f)
+            parts.append((value, by_v * v_x, _cubic_value(e.take(here_u, cell), f) * u_q * xp.sign(q)))
         lobe, lobe_x, lobe_q = (a - cos_2 * b for a, b in zip(*parts, strict=True))
         m, m_x, m_q = self._multiple(e, q, x)
         once, once_x, once_q = self._first_radiance(e, q, x, mu)
@@ -241,10 +243,10 @@ class WhiteTable(NamedTuple):
         aq = xp.minimum(xp.maximum(xp.abs(q), SMALLEST_Q), self.q_max)
         rows, n = self.log_curve_sd.shape
         row = xp.clip((_u(xp, aq)[0] * (rows - 1) + 0.5).astype(xp.int32), 0, rows - 1)
-        t = xp.clip(xp.log1p(x / R_ZERO) / V_MAX, 0, 1) * (n - 1)
-        at = xp.minimum(t.astype(xp.int32), n - 2)
-        sd = xp.asarray(self.log_curve_sd)
-        return sd[row, at] * (1 - (t - at)) + sd[row, at + 1] * (t - at)
+        at, f = _cell(xp, xp.minimum(xp.log1p(x / R_ZERO) * ((n - 1) / V_MAX), n - 1), n - 1)
+        sd = xp.asarray(self.log_curve_sd)[row[:, 0]]
+        (left,), (right,) = e.take(sd[:, None, :-1], at), e.take(sd[:, None, 1:], at)
+        return left + f * (right - left)
 
 
 KNOT_STEP = float(V_MAX) / 46
@@ -259,20 +261,22 @@ def dipole(eta: float) -> Dipole:
 def q_of_total(e: Engine, model: Light, total_r: Any) -> Any:
     """The q in the model's range whose total is nearest to R: Newton in ln R, kept in a bracket."""
     xp = e.xp
-    target = xp.log(total_r)
 
-    def narrow(state: tuple[Any, ...]) -> tuple[Any, ...]:
-        n, lo, hi, q = state
+    def narrow(state: tuple[Any, ...], total_r: Any) -> tuple[Any, ...]:
+        n, lo, hi, q, _ = state
         total, slope = model.total(e, q)
         above = total > total_r
         lo, hi = xp.where(above, q, lo), xp.where(above, hi, q)
-        new = q - (xp.log(total) - target) * total / slope
-        return n + 1, lo, hi, xp.where((new >= lo) & (new <= hi), new, (lo + hi) / 2)
+        new = q - xp.log(total / total_r) * total / slope
+        new = xp.where((new >= lo) & (new <= hi), new, (lo + hi) / 2)
+        return n + 1, lo, hi, new, xp.abs(new - q)[:, 0]
 
     lo = xp.zeros_like(total_r)
     hi = lo + model.q_max
-    first = xp.clip(-target / 1.5, 1e-3, model.q_max)
-    *_, q = e.loop(lambda s: s[0] < 24, narrow, (xp.asarray(0), lo, hi, first))
+    first = xp.clip(-xp.log(total_r) / 1.5, 1e-3, model.q_max)
+    moved = xp.ones(total_r.shape[0])
+    begun = (xp.zeros(total_r.shape[0], dtype=xp.int32), lo, hi, first, moved)
+    *_, q, _ = e.loop(lambda s: (s[0] < 24) & (s[4] > SMALLEST_Q), narrow, begun, total_r)
     q = xp.where(model.total(e, lo)[0] <= total_r, 0.0, q)
     return xp.where(model.total(e, lo + model.q_max)[0] >= total_r, model.q_max, q)
 
@@ -324,30 +328,34 @@ def _u(xp: Any, aq: Any) -> tuple[Any, Any]:
     return u, (aq / 3 / big / (big + Q_ZERO) + aq / 3 / albedo) / U_MAX
 
 
-def _along_v(xp: Any, x: Any, n: int) -> tuple[Any, Any, Any, Any]:
-    """Cell and place in it along v = ln(1 + x/R_ZERO), dv/d ln x over V_MAX, and whether x lies in the table."""
-    v = xp.log1p(x / R_ZERO) / V_MAX
-    cell, f = _cell(xp, xp.minimum(v, 1.0), n)
-    return cell, f, x / (x + R_ZERO) / V_MAX, v < 1
+def _cell(xp: Any, at: Any, n: int) -> tuple[Any, Any]:
+    """Which of n cells holds a place in [0, n], and where in it."""
+    cell = xp.maximum(xp.minimum(at, n - 1).astype(xp.int32), 0)  # what is not a number has to lie somewhere
+    return cell, at - cell
 
 
-def _cell(xp: Any, t: Any, n: int) -> tuple[Any, Any]:
-    cell = xp.clip((t * n).astype(xp.int32), 0, n - 1)
-    return cell, t * n - cell
+def _cubic(powers: tuple[Any, ...], f: Any) -> tuple[Any, Any]:
+    """Value and slope of cubics at f ∈ [0, 1]."""
+    _, b, c, d = powers
+    return _cubic_value(powers, f), (3 * d * f + 2 * c) * f + b
 
 
-def _cubic(powers: tuple[Any, ...], f: Any, n: int) -> tuple[Any, Any]:
-    """Value and slope by t ∈ [0, 1] of cubics over n cells."""
+def _cubic_value(powers: tuple[Any, ...], f: Any) -> Any:
     a, b, c, d = powers
-    return ((d * f + c) * f + b) * f + a, ((3 * d * f + 2 * c) * f + b) * n
+    return ((d * f + c) * f + b) * f + a
+
+
+def _powers(e: Engine, cells: Any, cell: Any) -> tuple[Any, ...]:
+    """Those of one spline (4, n) for all rows, in the shape of `cell`."""
+    return tuple(each.reshape(cell.shape) for each in e.take(cells[None], cell.reshape(1, -1)))
 
 
 def _spline(e: Engine, cells: Any, t: Any) -> tuple[Any, Any]:
-    """One spline for all rows: cells (1, 4, n), t of any shape; value and slope by t."""
+    """One spline (1, 4, n) for all rows at t ∈ [0, 1] of any shape; value and slope by t."""
     n = cells.shape[-1]
-    cell, f = _cell(e.xp, t, n)
-    powers = tuple(each.reshape(t.shape) for each in e.take(cells, cell.reshape(1, -1)))
-    return _cubic(powers, f, n)
+    cell, f = _cell(e.xp, t * n, n)
+    value, slope = _cubic(_powers(e, cells[0], cell), f)
+    return value, slope * n
 
 
 def _rows(xp: Any, table: Any, t: Any) -> tuple[Any, Any]:
