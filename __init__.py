@@ -12,9 +12,9 @@ __version__ = "0.1.0"
 
 _HOME = {
     "BssrdfError": "bssrdf.errors",
-    "FitOptions": "bssrdf.fit.run",
-    "fit_slice": "bssrdf.fit.run",
-    "fit_slices": "bssrdf.fit.run",
+    "FitOptions": "bssrdf.fit",
+    "fit_slice": "bssrdf.fit",
+    "fit_slices": "bssrdf.fit",
     "load_materials": "bssrdf.transport.materials",
     "measure_session": "bssrdf.measure",
     "read_fit": "bssrdf.session.fit_json",
@@ -25,9 +25,9 @@ _HOME = {
 
 if TYPE_CHECKING:
     from bssrdf.errors import BssrdfError as BssrdfError
-    from bssrdf.fit.run import FitOptions as FitOptions
-    from bssrdf.fit.run import fit_slice as fit_slice
-    from bssrdf.fit.run import fit_slices as fit_slices
+    from bssrdf.fit import FitOptions as FitOptions
+    from bssrdf.fit import fit_slice as fit_slice
+    from bssrdf.fit import fit_slices as fit_slices
     from bssrdf.measure import measure_session as measure_session
     from bssrdf.session.fit_json import read_fit as read_fit
     from bssrdf.session.session_toml import read_session as read_session

@@ -18,9 +18,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from bssrdf.bench.fit_peers import PeerFit, PeerProblem, jaxopt_soft, scipy_exact, scipy_slsqp, scipy_soft, timed
+from bssrdf.fit import Constraint, Making
 from bssrdf.fit.batch import Job, Options, fit_group
-from bssrdf.fit.models import Making
-from bssrdf.fit.terms import Constraint
 from bssrdf.session.records import ChannelSlice, Slice
 from bssrdf.transport import CHANNELS, absorption_ratio, load_materials, scoped_x64, table_model
 from bssrdf.transport.dipole import Medium

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bssrdf.errors import InputError
-from bssrdf.fit.run import FitOptions, fit_slices
+from bssrdf.fit import FitOptions, fit_slices
 from bssrdf.measure import measure_session
 from bssrdf.rig import (
     BenchScene,

@@ -18,8 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bssrdf.bench.trial_light import Cell, TrialLight, edges_mm, shipped
-from bssrdf.fit.models import shipped_table
-from bssrdf.fit.run import FitOptions, fit_slices
+from bssrdf.fit import FitOptions, fit_slices, shipped_table
 from bssrdf.session.records import ChannelFit, ChannelSlice, Slice
 from bssrdf.transport.arrays import NUMPY
 from bssrdf.transport.light import shape_of

@@ -78,14 +78,11 @@ def fit(
     target = out and fresh(out, force)
 
     from bssrdf.commands.fit_files import fit_files, fit_joint_files
-    from bssrdf.fit.models import Making
-    from bssrdf.fit.run import FitOptions
+    from bssrdf.fit import RULE, FitOptions, Making
     from bssrdf.report import fit_text
     from bssrdf.session.fit_json import failure_line, fit_line
 
     if explain:
-        from bssrdf.fit.models import RULE
-
         click.echo(RULE, err=as_json)
     options = FitOptions(
         model=model, constraint=constraint, scale=scale, window_mm=window_mm, robust=robust, tables=tables

@@ -9,9 +9,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import bssrdf
 from bssrdf.errors import BssrdfError, InputError
-from bssrdf.fit.models import Making
-from bssrdf.fit.run import SILENT, FitOptions, fit_slices
-from bssrdf.fit.setting import setting_flags
+from bssrdf.fit import SILENT, FitOptions, Making, fit_g, fit_joint, fit_slices, setting_flags
 from bssrdf.session.atomic import atomic_write, sha256_of
 from bssrdf.session.fit_json import read_fit, write_fit
 from bssrdf.session.flags import Flag
@@ -69,8 +67,6 @@ def fit_joint_files(
     warn: Callable[[str], None] | None = None,
 ) -> Fit:
     """One fit for sessions or slices of one material together, written to `out`; its options name every input."""
-    from bssrdf.fit.run import fit_joint
-
     pieces = [_read(path, keys) for path in inputs]
     _doubt(list(zip(inputs, pieces, strict=True)), options, warn)
     channels = fit_joint(pieces, options, making=making)
@@ -124,8 +120,6 @@ def _read(path: Path, keys: Mapping[str, Any]) -> Slice:
 
 def _read_with_g(path: Path, keys: Mapping[str, Any]) -> Slice:
     """The slice with the g that fits it best."""
-    from bssrdf.fit.free_g import fit_g
-
     piece = _read(path, keys)
     return replace(piece, g=fit_g(piece, FitOptions()).g)
 

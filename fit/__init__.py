@@ -1,0 +1,22 @@
+"""From slices to coefficients: the fit as a sum of terms, its intervals and its verdict."""
+
+from typing import TYPE_CHECKING
+
+from bssrdf.door import door
+
+if TYPE_CHECKING:
+    from bssrdf.fit.bare import bare_curve as bare_curve
+    from bssrdf.fit.free_g import fit_g as fit_g
+    from bssrdf.fit.models import RULE as RULE
+    from bssrdf.fit.models import Making as Making
+    from bssrdf.fit.models import shipped_table as shipped_table
+    from bssrdf.fit.models import tabulated as tabulated
+    from bssrdf.fit.run import SILENT as SILENT
+    from bssrdf.fit.run import FitOptions as FitOptions
+    from bssrdf.fit.run import fit_joint as fit_joint
+    from bssrdf.fit.run import fit_slice as fit_slice
+    from bssrdf.fit.run import fit_slices as fit_slices
+    from bssrdf.fit.setting import setting_flags as setting_flags
+    from bssrdf.fit.terms import Constraint as Constraint
+else:
+    __getattr__, __dir__, __all__ = door(__name__, __file__)

@@ -27,7 +27,7 @@ class Bare(NamedTuple):
     """NaN where no error is known."""
 
 
-def bare(piece: Slice, channel: str, sigma_a: float, sigma_sp: float) -> Bare:
+def bare_curve(piece: Slice, channel: str, sigma_a: float, sigma_sp: float) -> Bare:
     """The channel's data, spot and angle taken off by what these coefficients [1/mm] make of them."""
     curves = curves_of([piece], [channel], None)
     g = ASSUMED_G if piece.g is None else piece.g

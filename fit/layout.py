@@ -242,7 +242,8 @@ def _ascending(data: _Data) -> _Data:
     if ((middle[:, 1:] > middle[:, :-1]) | np.isinf(middle[:, 1:])).all():
         return data
     order = np.lexsort((data.arc, data.r_hi, data.r_lo, middle))
-    return _Data(*(np.take_along_axis(each, order, axis=1) for each in data))
+    turned: Any = (np.take_along_axis(each, order, axis=1) for each in data)
+    return _Data(*turned)
 
 
 def _fold(data: _Data) -> _Folded:

@@ -62,7 +62,7 @@ class FitOptions:
 
 
 DEFAULT = FitOptions()
-SILENT = Making()
+SILENT: Making = Making()
 
 
 def fit_slices(

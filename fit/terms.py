@@ -289,14 +289,14 @@ def system(e: Engine, plan: Plan, data: Problem, laid: Laid, seen: Looked, total
     """The sum over curves, soft totals and priors."""
     xp = e.xp
     size = 3 + len(plan.shared)
-    whole = 0.0
+    whole: Any = 0.0
     for k, each in enumerate(seen.curves):
         root = xp.sqrt(by.mass[k])
         rows = rows_of(e, laid, tuple(root * part for part in each), k, root * (by.mean[k] - each[0]))
         whole = whole + xp.matmul(rows, xp.swapaxes(rows, 1, 2))
     if plan.constraint == "soft":
-        for gap, row, each in zip(*totals, data.totals, strict=True):
-            one = xp.concatenate([row, gap], axis=1) / each.sd
+        for gap, row, measured in zip(*totals, data.totals, strict=True):
+            one = xp.concatenate([row, gap], axis=1) / measured.sd
             whole = whole + one[:, :, None] * one[:, None, :]
     return System(whole[:, size, size], whole[:, :size, size], whole[:, :size, :size] + prior(e, plan))
 
@@ -305,7 +305,7 @@ def cost_at(e: Engine, plan: Plan, data: Problem, laid: Laid, seen: Looked, by: 
     """The objective (b,) with shared errors at their best; where R is exact, at the q near by that meets it."""
     xp = e.xp
     gaps, rows = totals_of(e, data, laid, seen)
-    whole = 0.0
+    whole: Any = 0.0
     for k, (value, _, by_q) in enumerate(seen.curves):
         parts = [*(value * each for each in _by_error(laid.responses[k])), by.mean[k] - value]
         if plan.constraint == "exact":

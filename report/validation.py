@@ -1,6 +1,6 @@
 """The paper's Fig. 6: measured points, the dipole, and a Monte Carlo simulation, all with the fitted coefficients.
 
-Spot and camera angle are taken off the measured points as the fit allows for them (`fit.bare`).
+Spot and camera angle are taken off the measured points as the fit allows for them (`fit.bare_curve`).
 """
 
 from __future__ import annotations
@@ -15,8 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from bssrdf.fit.bare import bare
-from bssrdf.fit.models import tabulated
+from bssrdf.fit import bare_curve, tabulated
 from bssrdf.session.records import ChannelFit, Fit, Slice
 from bssrdf.transport import DipoleModel, ForwardModel, MonteCarloMedium, dipole, scoped_x64, simulate, table_model
 from bssrdf.transport.dipole import Medium
@@ -105,7 +104,7 @@ def _model_of(fit: Fit, channel: ChannelFit) -> ForwardModel:
 
 def _as_modelled(channel: ChannelFit, piece: Slice, name: str) -> RingData:
     """The measured values, less what spot and camera angle do by the fit's own coefficients."""
-    data = bare(piece, name, channel.sigma_a_per_mm, channel.sigma_sp_per_mm)
+    data = bare_curve(piece, name, channel.sigma_a_per_mm, channel.sigma_sp_per_mm)
     clear = ~(data.rd_per_mm2 < _CLEAR_SD * data.sd_per_mm2)
     return RingData(data.r_lo_mm, data.r_hi_mm, data.rd_per_mm2, clear)
 
