@@ -15,7 +15,7 @@ _HOME = {
     "FitOptions": "bssrdf.fit",
     "fit_slice": "bssrdf.fit",
     "fit_slices": "bssrdf.fit",
-    "load_materials": "bssrdf.transport.materials",
+    "load_materials": "bssrdf.transport",
     "measure_session": "bssrdf.measure",
     "read_fit": "bssrdf.session.fit_json",
     "read_session": "bssrdf.session.session_toml",
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from bssrdf.session.session_toml import read_session as read_session
     from bssrdf.session.slice_csv import read_slice as read_slice
     from bssrdf.session.slice_csv import write_slice as write_slice
-    from bssrdf.transport.materials import load_materials as load_materials
+    from bssrdf.transport import load_materials as load_materials
 
 
 def __getattr__(name: str) -> Any:
