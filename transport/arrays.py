@@ -110,7 +110,7 @@ def _chosen(xp: Any, test: Any, a: Any, b: Any) -> Any:
 
 
 def picked(tree: Any, rows: Any) -> Any:
-    """Some rows of the arrays in nested tuples; what is no array stays."""
+    """Some rows of the arrays in nested tuples; what is not an array stays."""
     if isinstance(tree, tuple):
         made = [picked(each, rows) for each in tree]
         return type(tree)(*made) if hasattr(tree, "_fields") else tuple(made)
