@@ -15,7 +15,7 @@ from bssrdf.session.fit_json import read_fit, write_fit
 from bssrdf.session.flags import Flag
 from bssrdf.session.records import ChannelFit, Fit, Session, Slice
 from bssrdf.session.session_toml import read_session
-from bssrdf.session.slice_csv import HEADER, read_slice
+from bssrdf.session.slice_csv import HEADER, about, read_slice
 from bssrdf.session.slice_units import doubt
 
 if TYPE_CHECKING:
@@ -201,6 +201,7 @@ def _fit(path: Path, piece: Slice, channels: dict[str, ChannelFit], options: dic
         eta=piece.eta,
         g=piece.g,
         channels=channels,
+        about=about(piece),
     )
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from bssrdf.session.flags import meaning_of
 from bssrdf.session.records import ChannelFit, Fit
@@ -15,12 +15,18 @@ if TYPE_CHECKING:
 def fit_text(fit: Fit) -> str:
     """One line per channel, then each flag once with what it means."""
     head = f"{fit.material or fit.input_path}  (η {fit.eta:g}{'' if fit.g is None else f', g {fit.g:g}'})"
-    lines = [head, *(f"  {name:<6} {_channel(channel)}" for name, channel in fit.channels.items())]
+    told = [f"  {key} {_told(value)}" for key, value in fit.about.items()]
+    lines = [head, *told, *(f"  {name:<6} {_channel(channel)}" for name, channel in fit.channels.items())]
     raised = {flag: None for channel in fit.channels.values() for flag in channel.flags}
     for flag in raised:
         names = [name for name, channel in fit.channels.items() if flag in channel.flags]
         lines.append(f"  {', '.join(names)}: {flag}: {meaning_of(flag)}")
     return "\n".join(lines)
+
+
+def _told(value: Any) -> str:
+    """As given, by channel too."""
+    return ", ".join(f"{name} {each}" for name, each in value.items()) if isinstance(value, dict) else str(value)
 
 
 def _channel(channel: ChannelFit) -> str:

@@ -21,13 +21,13 @@ def number(
     above: float = -math.inf, below: float = math.inf, *, at_least: float = -math.inf, at_most: float = math.inf
 ) -> Check:
     """A finite number in the given range."""
-    limits = [(">", above), ("<", below), (">=", at_least), ("<=", at_most)]
+    limits = [(">", above), (">=", at_least), ("<", below), ("<=", at_most)]
     is_share = max(above, at_least) == 0 and min(below, at_most) <= _SHARE_AT_MOST
-    wanted = " and ".join(["a finite number", *(f"{sign} {limit:g}" for sign, limit in limits if math.isfinite(limit))])
+    wanted = "a finite number " + " and ".join(f"{sign} {limit:g}" for sign, limit in limits if math.isfinite(limit))
 
     def check(value: Any) -> float:
         if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-            raise ValueError(f"must be {wanted}")
+            raise ValueError(f"must be {wanted.rstrip()}")
         if is_share and 2 < value <= 100:
             raise ValueError(f"must be a share, not per cent: give {value / 100:g}")
         if not (above < value < below and at_least <= value <= at_most):

@@ -30,6 +30,7 @@ def fit_to_dict(fit: Fit) -> dict[str, Any]:
         "material": fit.material,
         "eta": fit.eta,
         "g": fit.g,
+        **({"about": fit.about} if fit.about else {}),
         "channels": {name: _channel_to_dict(channel) for name, channel in fit.channels.items()},
     }
     finite: dict[str, Any] = _finite(document)
@@ -102,6 +103,7 @@ def _fit(document: dict[str, Any]) -> Fit:
         eta=_number(document["eta"]),
         g=None if document["g"] is None else _number(document["g"]),
         channels={name: _channel(values) for name, values in document["channels"].items()},
+        about=dict(document.get("about", {})),
     )
 
 

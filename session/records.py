@@ -383,3 +383,5 @@ class Fit:
     eta: float
     g: float | None
     channels: dict[str, ChannelFit]
+    about: dict[str, Any] = field(default_factory=dict)
+    """What the slice only informs of, by key."""

@@ -24,6 +24,7 @@ HEADER = {**keys_of(Slice), **keys_of(Columns)}
 """What may stand above the table: what a slice is, and how its columns are written."""
 _COLUMNS = tuple(field.name for field in fields(ChannelSlice))
 _NEEDED = ("channel", "r_mm", "rd_per_mm2", "sd_per_mm2")
+_ELSEWHERE = ("material", "flags", "provenance")
 _MAY_BE_EMPTY = ("sd_per_mm2",)
 _LEAST, _MOST = 1e-60, 1e60
 """Sizes of numbers whose squares and products a fit can still hold."""
@@ -67,6 +68,14 @@ def write_slice(path: Path, curve: Slice) -> None:
     commented = "".join(f"# {line}\n" for line in document.rstrip("\n").split("\n"))
     with atomic_write(path) as unfinished:
         unfinished.write_text(commented + csv_text(rows), encoding="utf-8", newline="")
+
+
+def about(curve: Slice) -> dict[str, Any]:
+    """The keys that only inform, as far as they were given: they go with the result. Some have a place of their own."""
+    keys = (name for name, declared in keys_of(Slice).items() if declared.key.informational)
+    return {
+        name: value for name in keys if name not in _ELSEWHERE and (value := getattr(curve, name)) not in (None, {})
+    }
 
 
 def _over(value: Any, override: Any, channels: Iterable[str]) -> Any:

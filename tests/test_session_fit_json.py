@@ -76,7 +76,10 @@ def test_layout_is_that_of_the_format() -> None:
 
 def test_written_fit_is_read_back(tmp_path: Path) -> None:
     full = replace(CHANNEL, flags=("short_window",), sensitivity={"d_ln_sigma_a_d_g": -0.4}, status="upper_bound")
-    for fit in (FIT, replace(FIT, material=None, g=None, channels={"633nm σ": full, "B": CHANNEL})):
+    for fit in (
+        FIT,
+        replace(FIT, material=None, g=None, channels={"633nm σ": full, "B": CHANNEL}, about={"source": "a"}),
+    ):
         write_fit(tmp_path / "fit.json", fit)
         assert read_fit(tmp_path / "fit.json") == fit
 
