@@ -24,7 +24,7 @@ from bssrdf.measure.reflectance import (
     usual_band_mm,
 )
 from bssrdf.measure.tail import Estimate, Surroundings
-from bssrdf.measure.total_errors import Timing, common_errors, speckle_rel_sd, stated_errors
+from bssrdf.measure.total_errors import Timing, common_errors, polarisation_rel_sd, speckle_rel_sd, stated_errors
 from bssrdf.session.flags import Flag, meaning_of
 from bssrdf.session.records import TOTAL_R_MAX, ChannelSlice, Geometry, Material, Reference, Session, Slice
 
@@ -111,6 +111,8 @@ def measure_slice(
             common.append(sample.aliasing - reference.aliasing)
         if session.beam.kind == "laser":
             common.append(speckle_rel_sd(radius.value, channel, session))
+        if session.beam.polarised:
+            common.append(polarisation_rel_sd(session.beam.incidence_deg, around.eta))
         scale_rel_sd.append(float(np.linalg.norm(common)))
         if not sample.is_saturated(channel):
             totals[channel] = _plausible(back.light * per_light, channel, session, (*found, *flags))
@@ -218,6 +220,7 @@ def _image_flags(session: Session, sample: Image, reference: Image, spots: tuple
         Flag.SECOND_SPOT: any(has_second_spot(*pair) for pair in zip((sample, reference), spots, strict=True)),
         Flag.SATURATED: any(image.is_saturated(c) for image in (sample, reference) for c in sample.channels),
         Flag.SPECKLE: session.beam.kind == "laser",
+        Flag.POLARISED: session.beam.polarised and session.beam.incidence_deg > 0,
     }
     return [flag for flag, is_raised in raised.items() if is_raised]
 

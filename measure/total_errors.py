@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -82,6 +83,18 @@ def speckle_rel_sd(spot_radius_mm: float, channel: str, session: Session) -> flo
     area_mm2 = np.pi * spot_radius_mm**2 * np.cos(np.radians(session.geometry.view_angle_deg))
     solid_angle = np.pi / 4 * (session.camera.aperture_mm / session.geometry.distance_mm) ** 2
     return float(wavelength_mm / np.sqrt(area_mm2 * solid_angle))
+
+
+def polarisation_rel_sd(incidence_deg: float, eta: float) -> float:
+    """Relative sd of the flux that enters, of light polarised in a direction that is not known.
+
+    Fresnel's two reflectances differ from their mean by ±d; over all directions the share that enters has the sd d/√2.
+    """
+    cos_i = math.cos(math.radians(incidence_deg))
+    cos_t = math.sqrt(1 - (1 - cos_i**2) / eta**2)
+    across = ((cos_i - eta * cos_t) / (cos_i + eta * cos_t)) ** 2
+    along = ((cos_t - eta * cos_i) / (cos_t + eta * cos_i)) ** 2
+    return (across - along) / 2 / (1 - (across + along) / 2) / math.sqrt(2)
 
 
 class StatedErrors(NamedTuple):

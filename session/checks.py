@@ -23,11 +23,12 @@ def number(
     """A finite number in the given range."""
     limits = [(">", above), (">=", at_least), ("<", below), ("<=", at_most)]
     is_share = max(above, at_least) == 0 and min(below, at_most) <= _SHARE_AT_MOST
-    wanted = "a finite number " + " and ".join(f"{sign} {limit:g}" for sign, limit in limits if math.isfinite(limit))
+    inside = " and ".join(f"{sign} {limit:g}" for sign, limit in limits if math.isfinite(limit))
+    wanted = f"a finite number {inside}".rstrip()
 
     def check(value: Any) -> float:
         if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-            raise ValueError(f"must be {wanted.rstrip()}")
+            raise ValueError(f"must be {wanted}")
         if is_share and 2 < value <= 100:
             raise ValueError(f"must be a share, not per cent: give {value / 100:g}")
         if not (above < value < below and at_least <= value <= at_most):

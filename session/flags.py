@@ -144,6 +144,11 @@ class Flag(StrEnum):
         "measure",
         "The frames are not linear (JPEG, video): their response curve was fitted, good to percents at best.",
     )
+    POLARISED = (
+        "polarised",
+        "measure",
+        "The beam is polarised and oblique: what enters depends on a direction that is not known; errors allow for it.",
+    )
     POOR_FIT = (
         "poor_fit",
         "fit",

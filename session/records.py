@@ -59,7 +59,10 @@ class Material:
     g: Annotated[float | None, Key("mean cosine of scattering", COSINE, example=0.0)] = None
     thickness_mm: Annotated[float | None, Key("size along the beam", POSITIVE, example=40.0)] = None
     width_mm: Annotated[float | None, Key("size across the beam", POSITIVE, example=100.0)] = None
-    backing: Annotated[str | None, Key("what lies below", example="black")] = None
+    backing: Annotated[
+        str | None,
+        Key("what lies below", example="black", informational="the fit takes a half space"),
+    ] = None
     cover: Annotated[Literal["none", "glass"], Key("what lies on top")] = "none"
     finish: Annotated[Literal["polished", "rough"], Key("the surface")] = "polished"
 
@@ -128,7 +131,7 @@ class Beam:
     """`[beam]`: what lit the sample."""
 
     kind: Annotated[BeamKind, Key("a laser makes speckle and leaks into other channels", ask=True)] = "white"
-    polarised: Annotated[bool, Key("whether the beam is polarised")] = False
+    polarised: Annotated[bool, Key("an oblique beam that is polarised has a larger error of scale")] = False
     incidence_deg: Annotated[float, Key("beam against the surface normal", ANGLE, ask=True)] = 0.0
     spot_radius_mm: Annotated[
         float | None, Key("1/e² radius of the irradiance; else found on the tile", POSITIVE, example=0.15)

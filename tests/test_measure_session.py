@@ -9,10 +9,14 @@ import pytest
 import tifffile
 
 from bssrdf.errors import InputError
+from bssrdf.fit.setting import setting_flags
 from bssrdf.measure.session import measure_session
+from bssrdf.measure.total_errors import polarisation_rel_sd
 from bssrdf.session.frames_csv import read_frames, write_frames
 from bssrdf.session.hdr_image import read_hdr_exr
-from bssrdf.session.records import Beam, Camera, Frame, Geometry, Material, Reference, Session
+from bssrdf.session.keys import keys_of
+from bssrdf.session.records import Beam, Camera, ChannelFit, Frame, Geometry, Material, Reference, Session
+from bssrdf.session.session_toml import TABLES
 from bssrdf.session.slice_csv import read_slice
 
 EXPOSURES_S = [0.001 * 4**k for k in range(7)]
@@ -79,6 +83,83 @@ def session(tmp_path_factory) -> Session:
 @pytest.fixture(scope="module")
 def measured(session):
     return measure_session(session)
+
+
+PLANE = ((0.06, 0.0, 0.0), (0.0, 0.08, 0.0), (0.0, 0.0, 1.0))
+PINHOLE = ((100.0, 0.0, 80.0), (0.0, 100.0, 60.0), (0.0, 0.0, 1.0))
+OBLIQUE = {"beam": {"incidence_deg": 30.0}}
+LASER = {"beam": {"kind": "laser"}}
+LENS = {"distortion": {"camera_matrix": PINHOLE, "coefficients": (0.01, 0.0, 0.0, 0.0)}}
+OTHER = {
+    "material": {"eta": 1.5, "g": 0.9, "thickness_mm": 1.0, "width_mm": 2.0, "cover": "glass", "finish": "rough"},
+    "camera": {
+        "layout": "GRBG",
+        "black": 490.0,
+        "white": 16000.0,
+        "gain_e_per_dn": 4.5,
+        "read_noise_e": 6.0,
+        "exposure_rel_sd": 0.001,
+        "aperture_mm": 3.0,
+        "response": "debevec",
+    },
+    "geometry": {
+        "mm_per_px": 0.06,
+        "homography": PLANE,
+        "mm_per_px_rel_sd": 0.01,
+        "distance_mm": 500.0,
+        "view_angle_deg": 40.0,
+        "view_angle_sd_deg": 1.0,
+        "view_axis": "x",
+    },
+    "beam": {"kind": "laser", "polarised": True, "incidence_deg": 30.0, "spot_radius_mm": 0.5, "channels": ("G",)},
+    "reference": {"reflectance": (0.9,), "reflectance_sd": (0.02,), "coplanar": True},
+    "distortion": {
+        "camera_matrix": ((200.0, 0.0, 80.0), (0.0, 200.0, 60.0), (0.0, 0.0, 1.0)),
+        "coefficients": (0.05, 0.0, 0.0, 0.0),
+    },
+}
+"""For each key that counts, a value that it does not have in `session`."""
+BESIDE = {"polarised": OBLIQUE, "aperture_mm": LASER, "distance_mm": LASER, "camera_matrix": LENS, "coefficients": LENS}
+"""What it takes for a key to matter."""
+
+
+def changed(session, tables):
+    """The session with other values of keys, by table."""
+    records = {name: replace(getattr(session, name) or TABLES[name](**keys), **keys) for name, keys in tables.items()}
+    if records.get("geometry") and records["geometry"].homography:
+        records["geometry"] = replace(records["geometry"], mm_per_px=None)
+    return replace(session, **records)
+
+
+def outcome(session):
+    """What is found, or why nothing is."""
+    try:
+        found = measure_session(session).slice
+    except InputError as error:
+        return str(error)
+    arrays = [array.tobytes() for part in found.channels.values() for array in (part.r_mm, part.rd_per_mm2)]
+    fit = ChannelFit(**dict.fromkeys(ChannelFit.__dataclass_fields__, 1.0))  # σa = σs′ = 1/mm
+    return arrays, repr(replace(found, channels={}, provenance={})), setting_flags(session.material, fit)
+
+
+def test_every_key_of_a_session_changes_the_slice_or_says_why_not():
+    declared = {(table, name): key for table, record in TABLES.items() for name, key in keys_of(record).items()}
+    reasons = {place: key.key.informational for place, key in declared.items() if key.key.informational}
+    print("informational:", *(f"[{table}] {name}: {why}" for (table, name), why in reasons.items()), sep="\n  ")
+    assert {*reasons, *((table, name) for table, keys in OTHER.items() for name in keys)} == declared.keys()
+
+
+@pytest.mark.parametrize(
+    ("table", "name"),
+    [
+        pytest.param(table, name, marks=() if name == "polarised" else pytest.mark.slow)
+        for table, keys in OTHER.items()
+        for name in keys
+    ],
+)
+def test_a_key_of_a_session_that_counts_changes_what_is_found(session, table, name):
+    before = changed(session, BESIDE.get(name, {}))
+    assert outcome(before) != outcome(changed(before, {table: {name: OTHER[table][name]}}))
 
 
 def area_mm2():
@@ -274,3 +355,15 @@ def test_images_of_other_frames_or_another_camera_are_refused(tmp_path):
     shutil.copy(tmp_path / "other/measured/reference.exr", session.path / "measured/reference.exr")
     with pytest.raises(InputError, match=r"reference.exr: comes from another run"):
         measure_session(session, from_hdr=True)
+
+
+@pytest.mark.parametrize("eta", [1.3, 1.5])
+def test_a_polarised_beam_enters_by_fresnel_in_a_direction_that_is_drawn(eta):
+    theta_i = np.radians(40.0)
+    theta_t = np.arcsin(np.sin(theta_i) / eta)
+    across = (np.sin(theta_i - theta_t) / np.sin(theta_i + theta_t)) ** 2
+    along = (np.tan(theta_i - theta_t) / np.tan(theta_i + theta_t)) ** 2
+    psi = np.random.default_rng(0).uniform(0, 2 * np.pi, 100_000)
+    entering = 1 - across * np.cos(psi) ** 2 - along * np.sin(psi) ** 2
+    assert polarisation_rel_sd(40.0, eta) == pytest.approx(entering.std() / entering.mean(), rel=0.01)
+    assert polarisation_rel_sd(0.0, eta) == 0

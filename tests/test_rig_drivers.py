@@ -85,7 +85,7 @@ def test_a_name_of_the_projects_own_cannot_be_taken_over(rig_file: Path) -> None
         ('"curtain"', '"other"', r"driver 'other' of curtain_rig:OTHER is not a bssrdf.rig.drivers.Driver"),
         ('"curtain"', '"gone"', r"driver 'gone' of curtain_rig_gone:DRIVER cannot be loaded \(ModuleNotFoundError"),
         ('"curtain"', '"blind"', "must be one of command, curtain, gone, manual, other, sc10, scpi, uniblitz"),
-        ("rope = 2", "rope = 0", "rope = 0 must be a finite number and > 0"),
+        ("rope = 2", "rope = 0", "rope = 0 must be a finite number > 0"),
         ("rope = 2", "", "lacks rope; the driver curtain needs it"),
         (" --to {out}", "", r"expose = .* must hold \{exposure_s\} and \{out\}"),
         ('"shoot', "\"'shoot", r"must be a program and its arguments \(no closing quotation\)"),

@@ -218,7 +218,7 @@ def test_slice_csv(tmp_path: Path, name: str) -> None:
 def test_slice_with_a_bad_value_on_the_command_line(tmp_path: Path) -> None:
     file = tmp_path / "slice.csv"
     file.write_text(SLICE_HEADER + COLUMNS + "G,1,1,1\n")
-    with pytest.raises(InputError, match=r"slice.csv: eta = -1.0 must be a finite number and > 0"):
+    with pytest.raises(InputError, match=r"slice.csv: eta = -1.0 must be a finite number > 0"):
         read_slice(file, eta=-1.0)
 
 
