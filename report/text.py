@@ -26,7 +26,9 @@ def fit_text(fit: Fit) -> str:
 
 def _told(value: Any) -> str:
     """As given, by channel too."""
-    return ", ".join(f"{name} {each}" for name, each in value.items()) if isinstance(value, dict) else str(value)
+    if isinstance(value, dict):
+        return ", ".join(f"{name} {_told(each)}" for name, each in value.items())
+    return f"{value:g}" if isinstance(value, float) else str(value)
 
 
 def _channel(channel: ChannelFit) -> str:

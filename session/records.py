@@ -38,6 +38,7 @@ Azimuth = Literal["perpendicular", "mean"]
 BeamKind = Literal["white", "led", "laser"]
 Status = Literal["converged", "upper_bound", "unidentifiable", "rejected", "failed"]
 Array = NDArray[np.float64]
+ByChannel = dict[str, float]
 
 
 _DISPLAY = "calibrate colour writes it for pictures to look at; curves and fits stay in the camera's own channels"
@@ -306,11 +307,11 @@ class Slice:
     ] = None
     incidence_deg: Annotated[float, Key("beam against the surface normal", ANGLE)] = 0.0
     total_r: Annotated[
-        dict[str, float], Key("total reflectance in the curve's own convention", Range(above=0, at_most=TOTAL_R_MAX))
+        ByChannel, Key("total reflectance in the curve's own convention", Range(above=0, at_most=TOTAL_R_MAX))
     ] = field(default_factory=dict)
-    total_r_sd: Annotated[dict[str, float], Key("its error", ERROR)] = field(default_factory=dict)
+    total_r_sd: Annotated[ByChannel, Key("its error", ERROR)] = field(default_factory=dict)
     lost_fraction: Annotated[
-        dict[str, float] | None, Key("share of the light beyond the frame, already in total_r", SHARE)
+        ByChannel | None, Key("share of the light beyond the frame, already in total_r", SHARE)
     ] = None
     g: Annotated[float | None, Key("mean cosine of the phase function", COSINE)] = None
     eta_sd: Annotated[float | None, Key("error of eta", ERROR)] = None
