@@ -327,6 +327,7 @@ class Slice:
         str | None, Key("slices with the same text share errors of scale and length, as those against one tile do")
     ] = None
     material: Annotated[str | None, Key("name of the material", informational=_NAME)] = None
+    wavelength_nm: Annotated[ByChannel | None, Key("of the light", POSITIVE, informational="names the band")] = None
     flags: Annotated[
         tuple[str, ...], Key("problems found while measuring", informational="handed on to the flags of the fit")
     ] = ()

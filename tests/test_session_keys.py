@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import make_dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
@@ -9,10 +10,13 @@ from typing import Annotated, Any
 import numpy as np
 import pytest
 
+from bssrdf.cli import cli
+from bssrdf.commands.console import run
 from bssrdf.errors import InputError
 from bssrdf.fit.run import FitOptions, fit_joint, fit_slice
 from bssrdf.session.keys import ANGLE, Key, checked_keys, keys_of
 from bssrdf.session.records import ChannelSlice, Slice
+from bssrdf.session.slice_csv import read_slice, write_slice
 
 LIGHT = Path(__file__).parent / "fixtures" / "marble_green_45deg.csv"
 OPTIONS, DIPOLE = FitOptions(model="mc", tables="shipped"), FitOptions(model="dipole")
@@ -90,3 +94,25 @@ def test_a_field_is_all_that_there_is_of_a_key() -> None:
         checked_keys(Path("a.toml"), "", {"tilt_deg": 95}, record)
     with pytest.raises(InputError, match=r"a\.toml: tiltdeg is not known; did you mean tilt_deg\?"):
         checked_keys(Path("a.toml"), "", {"tiltdeg": 3}, record)
+
+
+def test_a_key_of_one_line_is_read_written_listed_and_carried_into_the_fit(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """`wavelength_nm` stands in records.py alone."""
+    file = tmp_path / "slice.csv"
+    write_slice(file, camera_slice())
+    assert run(cli, ["fit", str(file), "--wavelength-nm", "G=532", "--model", "dipole", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["about"] == {"wavelength_nm": {"G": 532.0}}
+
+    write_slice(file, read_slice(file, wavelength_nm=532))
+    assert "# wavelength_nm = { G = 532.0 }\n" in file.read_text()
+    assert read_slice(file).wavelength_nm == {"G": 532.0}
+    assert run(cli, ["fit", str(file), "--model", "dipole"]) == 0
+    assert "wavelength_nm G 532" in capsys.readouterr().out
+
+    with pytest.raises(InputError, match=r"slice\.csv: wavelength_nm = -1 must be a finite number > 0"):
+        read_slice(file, wavelength_nm=-1)
+    assert run(cli, ["fit", "--help"]) == 0
+    assert "--wavelength-nm [CHANNEL=]NUMBER" in capsys.readouterr().out
+    assert "| `wavelength_nm` |" in (Path(__file__).parents[1] / "docs" / "formats.md").read_text(encoding="utf-8")
