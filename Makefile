@@ -13,6 +13,9 @@ test: .venv/installed
 slow: .venv/installed
 	$(BIN)/python -m pytest -m slow
 
+mutants: .venv/installed
+	$(BIN)/python tests/mutants.py
+
 check: .venv/installed
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .

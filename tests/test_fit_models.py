@@ -11,18 +11,14 @@ import numpy as np
 import pytest
 
 from bssrdf.fit.free_g import fit_g
-from bssrdf.fit.layout import curves_of, sight_of
-from bssrdf.fit.observe import azimuths, seen_at
 from bssrdf.fit.run import FitOptions, fit_slices
 from bssrdf.fit.setting import setting_flags
 from bssrdf.rig.sim.light import seen_light
 from bssrdf.rig.sim.media import SampleMedium
 from bssrdf.session.records import ChannelFit, ChannelSlice, Material, Slice
-from bssrdf.transport.arrays import NUMPY
 from bssrdf.transport.convention import camera_factor
 from bssrdf.transport.dipole import Medium
 from bssrdf.transport.forward import ACROSS, DipoleModel
-from bssrdf.transport.light import dipole, shape_of
 from bssrdf.transport.white.store import table_model
 
 CURVES = {
@@ -115,24 +111,6 @@ def test_a_camera_at_an_angle_sees_the_tables_own_exit_law() -> None:
     assert fit.sigma_sp_per_mm == pytest.approx(1.01, rel=2e-3)
 
 
-def test_the_spots_blur_is_the_mean_over_the_spot() -> None:
-    sigma_a, sigma_sp = 0.4**2 / 3, 1 - 0.4**2 / 3
-    model, r = dipole(1.3), np.array([0.5, 1.0, 3.0])
-    piece = Slice(
-        channels={"G": ChannelSlice(r, r, 0.01 * r)}, eta=1.3, flux="entering", exit="hemisphere", spot_radius_mm=0.3
-    )
-    curves = curves_of([piece], ["G"], None)
-    log_sigma, q = (np.full((1, 1), each) for each in shape_of(sigma_a, sigma_sp))
-    sight = sight_of(piece, curves, blurred=True)
-    ratio = np.exp(seen_at(NUMPY, sight, model, curves, log_sigma, q).log_ratio[0])
-    rng = np.random.default_rng(0)
-    offset = 0.3 / 2 * rng.standard_normal((400_000, 2))  # 1/e² radius is two standard deviations
-    for at, found in zip(r, ratio, strict=True):
-        distance = np.hypot(at + offset[:, 0], offset[:, 1])
-        expected = model.look(NUMPY, q, distance[None])[0].mean() / model.look(NUMPY, q, np.array([[at]]))[0][0, 0]
-        assert found == pytest.approx(expected, rel=1e-3)
-
-
 @pytest.mark.parametrize(("sigma_a", "sigma_sp"), [(0.97, 0.07), (0.061, 0.18), (0.015, 0.15)])
 def test_the_exit_law_of_a_dark_medium_moves_with_the_coefficients(sigma_a: float, sigma_sp: float) -> None:
     """Within a mean free path the exit law changes with the radius as fast as the curve does; light of the bench."""
@@ -154,25 +132,6 @@ def test_the_exit_law_of_a_dark_medium_moves_with_the_coefficients(sigma_a: floa
     fit = fit_slices([piece], FitOptions(model="mc"))[0]["G"]
     assert fit.sigma_sp_per_mm == pytest.approx(sigma_sp, rel=0.02)
     assert fit.sigma_a_per_mm == pytest.approx(sigma_a, rel=0.02)
-
-
-def test_azimuths_are_those_of_the_pixels_in_a_band() -> None:
-    """Against pixels drawn along the arc, and light that enters beside the beam."""
-    arc, turn = 0.9, 0.5
-    azimuth = np.pi / 2 + np.linspace(-arc, arc, 100_001) + turn
-    found = azimuths(NUMPY, np.array([arc]), np.array([np.sin(turn)]))
-    other = azimuths(NUMPY, np.array([arc]), np.array([-np.sin(turn)]))
-    both = np.concatenate([azimuth, azimuth - 2 * turn])
-    assert float(found.cos_2[0] + other.cos_2[0]) / 2 == pytest.approx(np.cos(2 * both).mean(), abs=1e-4)
-    assert float(found.along[0]) == 0
-    whole = azimuths(NUMPY, np.array([np.pi / 2]), np.array([0.0]))
-    assert (float(whole.cos_2[0]), float(whole.along[0])) == pytest.approx((0, 1), abs=1e-6)
-    wide, turned = 1.3, np.pi / 2 - 1.0
-    near = np.abs(np.pi / 2 + np.linspace(-wide, wide, 100_001) + turned - np.pi) < 0.01
-    share = near.mean() / (0.02 / np.pi)
-    assert float(azimuths(NUMPY, np.array([wide]), np.array([np.sin(turned)])).along[0]) == pytest.approx(
-        share, rel=0.02
-    )
 
 
 def test_the_sample_s_mounting_is_flagged(auto: dict[str, ChannelFit]) -> None:

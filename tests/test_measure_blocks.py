@@ -123,3 +123,19 @@ def test_bins_of_noise_alone_keep_their_noise(seed):
     found = profile(points, bin_edges(0.3, 30.0), (0.1, 0.1), None)
     faded = found.r > 12
     assert np.all(found.sd[faded] > 0.7 * 1e-3 / np.sqrt(found.n[faded]))
+
+
+@pytest.mark.parametrize("band", [None, 0.8])
+def test_a_bin_is_the_mean_by_r_dr_of_all_its_pixels_however_wide(band):
+    y, x = np.mgrid[-300:301, -300:301].ravel().reshape(2, -1) * 0.02
+    near = np.hypot(x, y) < 5.9 if band is None else np.abs(y) < band / 2
+
+    def curve(r):
+        return np.exp(-1.5 * r)
+
+    value = curve(np.hypot(x, y))[near]
+    points = Points(x[near], y[near], value, 1e-6 * value**2, np.ones_like(value))
+    found = profile(points, np.arange(0, 4.1, 0.25), (0.02, 0.02), band)
+    for lo, hi, mean in zip(found.r_lo, found.r_hi, found.value, strict=True):
+        r = np.linspace(lo, hi, 20_001)
+        assert mean == pytest.approx(np.trapezoid(r * curve(r), r) / np.trapezoid(r, r), rel=0.01), (lo, hi)

@@ -1,6 +1,7 @@
 """Laws of the merge, on frames with a known sensor, and a real bracket that must predict itself."""
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -106,6 +107,21 @@ def test_a_saturated_sample_is_left_out_by_pixel_and_channel():
     assert np.all(image.mask[..., 2] == SATURATED | NO_DATA)
     assert np.all(np.isnan(image.radiance[..., 2]))
     np.testing.assert_allclose(image.radiance[..., :2].mean((0, 1)), [1e5, 1e6], rtol=3e-3)
+
+
+def test_a_clipped_black_leaves_the_sum_of_all_light_over_the_sum_of_all_time():
+    """Read noise is not known where the converter cuts it off: each photon counts alike, the dark ones apart."""
+    cut = replace(SENSOR, black_dn=0.0, black_clipped=True)
+    radiance = np.broadcast_to(np.geomspace(3e4, 6e7, 300), (300, 300))
+    shots = shots_of(radiance)
+    merged = merge(shots, cut)
+    samples = [shot.load() for shot in shots]
+    good = np.array([each.raw < cut.saturation_dn for each in samples])
+    light = np.sum([g * (s.raw.astype(float) - s.dark) for g, s in zip(good, samples, strict=True)], axis=0)
+    seconds = np.tensordot(EXPOSURES_S, good, 1)
+    np.testing.assert_allclose(merged.radiance, light / seconds, rtol=1e-5)
+    assert np.mean(merged.radiance / radiance) == pytest.approx(1, abs=1e-4)
+    assert 0 < (~good).mean() < 1
 
 
 def test_hot_pixels_are_marked():
