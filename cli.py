@@ -13,6 +13,7 @@ from bssrdf.commands.console import Group, run
 from bssrdf.commands.fit import fit, table, validate
 from bssrdf.commands.measure import measure, views
 from bssrdf.commands.render import compare, doctor, render
+from bssrdf.commands.report import report
 from bssrdf.commands.rig import capture, rig
 from bssrdf.commands.sessions import ingest, init, verify
 
@@ -28,6 +29,7 @@ COMMANDS = (
     init,
     measure,
     render,
+    report,
     rig,
     table,
     validate,

@@ -5,7 +5,9 @@ from typing import TYPE_CHECKING
 from bssrdf.door import door
 
 if TYPE_CHECKING:
+    from bssrdf.fit.bare import Bare as Bare
     from bssrdf.fit.bare import bare_curve as bare_curve
+    from bssrdf.fit.bare import model_of as model_of
     from bssrdf.fit.free_g import fit_g as fit_g
     from bssrdf.fit.models import RULE as RULE
     from bssrdf.fit.models import Making as Making
@@ -18,5 +20,10 @@ if TYPE_CHECKING:
     from bssrdf.fit.run import fit_slices as fit_slices
     from bssrdf.fit.setting import setting_flags as setting_flags
     from bssrdf.fit.terms import Constraint as Constraint
+    from bssrdf.fit.verdict import FEWEST as FEWEST
+    from bssrdf.fit.verdict import MAX_LOST as MAX_LOST
+    from bssrdf.fit.verdict import MOST_PULL as MOST_PULL
+    from bssrdf.fit.verdict import POOR_CHI2 as POOR_CHI2
+    from bssrdf.fit.verdict import POOR_RUNS as POOR_RUNS
 else:
     __getattr__, __dir__, __all__ = door(__name__, __file__)

@@ -7,9 +7,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bssrdf.fit.layout import curves_of, sight_of
-from bssrdf.fit.models import ASSUMED_G, shipped_table, tabulated
-from bssrdf.fit.observe import seen_at
+from bssrdf.fit.layout import Curves, Sight, curves_of, sight_of
+from bssrdf.fit.models import ASSUMED_G, Making, has_table, shipped_table, table_of_medium, tabulated
+from bssrdf.fit.observe import NEAREST_MFP, averaged, nodes, seen_at
 from bssrdf.session.records import Slice
 from bssrdf.transport.arrays import NUMPY
 from bssrdf.transport.light import Light, dipole, shape_of
@@ -25,18 +25,64 @@ class Bare(NamedTuple):
     rd_per_mm2: Floats
     sd_per_mm2: Floats
     """NaN where no error is known."""
+    model_per_mm2: Floats
+    """What the model makes of the same radii."""
+    dipole_per_mm2: Floats
+    """What the dipole makes of them."""
+
+    @property
+    def r_mm(self) -> Floats:
+        """Middle of each annulus."""
+        return (self.r_lo_mm + self.r_hi_mm) / 2
 
 
-def bare_curve(piece: Slice, channel: str, sigma_a: float, sigma_sp: float) -> Bare:
-    """The channel's data, spot and angle taken off by what these coefficients [1/mm] make of them."""
+def bare_curve(piece: Slice, channel: str, sigma_a: float, sigma_sp: float, model: Light | None = None) -> Bare:
+    """The channel's data, spot and angle taken off by what these coefficients [1/mm] make of them in `model`.
+
+    None is the table where one of the finest set ships, else the dipole.
+    """
     curves = curves_of([piece], [channel], None)
-    g = ASSUMED_G if piece.g is None else piece.g
-    model: Light = shipped_table(piece.eta, g) if tabulated(piece.eta, g) else dipole(piece.eta)
+    model = _usual_model(piece) if model is None else model
     log_sigma, q = (np.full((1, 1), each) for each in shape_of(sigma_a, sigma_sp))
     sight = sight_of(piece, curves, blurred=bool(curves.spot_radius.any()))
     seen = seen_at(NUMPY, sight, model, curves, log_sigma, np.minimum(q, model.q_max))
     ratio = np.exp(seen.log_ratio[0])[:, None]
     there = curves.known[0] != 0
-    lo, hi = (np.broadcast_to(each[0][:, None], there.shape)[there] for each in (curves.r_lo, curves.r_hi))
+
+    def by_datum(by_ring: Floats) -> Floats:
+        return np.broadcast_to(by_ring[:, None], there.shape)[there]
+
+    lo, hi, of_model, of_dipole = map(
+        by_datum,
+        (
+            curves.r_lo[0],
+            curves.r_hi[0],
+            _over_rings(model, sight, curves, log_sigma, q),
+            _over_rings(dipole(piece.eta), sight, curves, log_sigma, q),
+        ),
+    )
     sd = 1 / curves.known[0][there] if curves.errors_known[0, 0] else np.full(int(there.sum()), np.nan)
-    return Bare(lo, hi, (curves.rd[0] / ratio)[there], sd / np.broadcast_to(ratio, there.shape)[there])
+    return Bare(
+        lo, hi, (curves.rd[0] / ratio)[there], sd / np.broadcast_to(ratio, there.shape)[there], of_model, of_dipole
+    )
+
+
+def model_of(piece: Slice, name: str) -> Light:
+    """The model that a fit names, by tables at hand; the dipole where no table is."""
+    if name == "mc" and has_table(piece, "cached"):
+        return table_of_medium(piece, "cached", Making())
+    return dipole(piece.eta)
+
+
+def _usual_model(piece: Slice) -> Light:
+    g = ASSUMED_G if piece.g is None else piece.g
+    return shipped_table(piece.eta, g) if tabulated(piece.eta, g) else dipole(piece.eta)
+
+
+def _over_rings(model: Light, sight: Sight, curves: Curves, log_sigma: Floats, q: Floats) -> Floats:
+    """Means [1/mm²] of the model's narrow beam over the rings of the only row, (u,)."""
+    at, sigma = nodes(NUMPY, sight, curves), np.exp(log_sigma)
+    x = np.maximum(sigma * at.r, NEAREST_MFP)
+    look = averaged(NUMPY, sight, at, model.look(NUMPY, np.minimum(q, model.q_max), x))
+    rings: Floats = np.asarray(sigma**2 * look[0])[0]
+    return rings

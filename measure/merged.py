@@ -33,6 +33,10 @@ _BRIGHT_EDGE = 0.05
 """Share of the brightest pixel: what leaves a spot's surroundings at this level is more than is put back."""
 
 
+class StaleImages(InputError):
+    """The images are not there, or not of the session's frames as they are now."""
+
+
 @dataclass(frozen=True)
 class Told:
     """What merging told, beside the images."""
@@ -89,8 +93,8 @@ def read_merged(session: Session, frames: Sequence[Frame], kinds: Sequence[str])
     return Merged({kind: hdr for kind, (hdr, _) in read.items()}, told, provenance)
 
 
-def _stale(path: Path, reason: str) -> InputError:
-    return InputError(f"{path}: {reason}; run `bssrdf measure` without --from-hdr")
+def _stale(path: Path, reason: str) -> StaleImages:
+    return StaleImages(f"{path}: {reason}; run `bssrdf measure` without --from-hdr")
 
 
 def _read(path: Path) -> tuple[Hdr, dict[str, Any]]:

@@ -67,8 +67,9 @@ def measure_session(
     told = merged.told
     curve = None
     if not hdr_only:
-        sample, reference = (_image(kind, merged.images, told.layouts[kind], session) for kind in _KINDS)
+        images = images_of(session, merged)
         options = SliceOptions(radial, glare, band_mm)
+        sample, reference = (images[kind] for kind in _KINDS)
         curve = measure_slice(session, sample, reference, told.timing, told.exposures, options, told.flags)
         unnamed = [Flag.UNNAMED] if session.material and session.material.name == UNNAMED else []
         curve = replace(
@@ -182,7 +183,12 @@ def _timing(bracket: Bracket, learnt: Learnt) -> Timing:
     return Timing(labels, seconds, learnt.flux_rel_sd.get(bracket.kind, 0.0), learnt.sensor.hidden_dn())
 
 
-def _image(kind: FrameKind, images: Mapping[str, Hdr], layout: str, session: Session) -> Image:
+def images_of(session: Session, merged: Merged) -> dict[str, Image]:
+    """The merged images by kind, with the way they are read."""
+    return {kind: _image(kind, merged.images, merged.told.layouts[kind], session) for kind in merged.images}
+
+
+def _image(kind: str, images: Mapping[str, Hdr], layout: str, session: Session) -> Image:
     if session.geometry is None:
         raise InputError(f"{session.path / 'session.toml'}: has no [geometry]; add it, or measure with --hdr-only")
     channels = channel_names(layout, session.beam)

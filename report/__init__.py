@@ -7,6 +7,7 @@ from bssrdf.door import door
 if TYPE_CHECKING:
     from bssrdf.report.doctor import doctor_text as doctor_text
     from bssrdf.report.doctor import examine as examine
+    from bssrdf.report.page import write_report as write_report
     from bssrdf.report.progress import live as live
     from bssrdf.report.progress import stages as stages
     from bssrdf.report.progress import steps as steps

@@ -35,13 +35,13 @@ def _channel(channel: ChannelFit) -> str:
     if channel.status in ("rejected", "unidentifiable", "failed"):
         chi2 = "" if math.isnan(channel.chi2_reduced) else f", χ² {channel.chi2_reduced:.2f}"
         return f"{channel.status}: no number is stated ({channel.model}, {channel.n} radii{chi2})"
-    sigma_sp = f"σs′ {_with_error(channel.sigma_sp_per_mm, channel.sigma_sp_sd_per_mm)}/mm"
+    sigma_sp = f"σs′ {with_error(channel.sigma_sp_per_mm, channel.sigma_sp_sd_per_mm)}/mm"
     if math.isnan(channel.sigma_a_per_mm):
         sigma_a = "σa –"
     elif channel.status == "upper_bound":
         sigma_a = f"σa < {channel.sigma_a_interval95_per_mm[1]:.2g}/mm (95 %)"
     else:
-        sigma_a = f"σa {_with_error(channel.sigma_a_per_mm, channel.sigma_a_sd_per_mm)}/mm"
+        sigma_a = f"σa {with_error(channel.sigma_a_per_mm, channel.sigma_a_sd_per_mm)}/mm"
     chi2 = "" if math.isnan(channel.chi2_reduced) else f"  χ² {channel.chi2_reduced:.2f}"
     lo, hi = channel.window_mm
     window = f"{lo:.2g}–{hi:.3g} mm"
@@ -57,7 +57,7 @@ def _model(channel: ChannelFit) -> str:
     return f"{channel.model}, model error {' and '.join(errors)}" if errors else channel.model
 
 
-def _with_error(value: float, sd: float) -> str:
+def with_error(value: float, sd: float) -> str:
     """Value and standard deviation to the digits that the deviation carries."""
     if not (math.isfinite(sd) and sd > 0):
         return f"{value:.3g}"

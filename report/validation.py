@@ -60,9 +60,11 @@ class Check:
     """Median of measured/simulated − 1 over the clear values of the window, each over its own ring."""
 
 
-def validate(fit: Fit, piece: Slice, *, progress: Callable[[str, int, int], None] | None = None) -> list[Check]:
+def validate(
+    fit: Fit, piece: Slice, *, photons: int = PHOTONS, progress: Callable[[str, int, int], None] | None = None
+) -> list[Check]:
     """Simulate every channel that converged, where σa is known, with the absorbing walk and no table; g is the fit's,
-    0 if unknown."""
+    0 if unknown. `photons` are those of a white medium; dark ones get more."""
     sound = {
         name: channel
         for name, channel in fit.channels.items()
@@ -75,7 +77,7 @@ def validate(fit: Fit, piece: Slice, *, progress: Callable[[str, int, int], None
         medium = MonteCarloMedium.reduced(channel.sigma_a_per_mm, channel.sigma_sp_per_mm, fit.g or 0.0, fit.eta)
         far = float(piece.channels[name].r_mm.max())
         edges = np.append(0.0, np.geomspace(far / 300, far, BINS))
-        tally = simulate(medium, r_edges_mm=edges, n_photons=_photons(medium), seed=SEED)
+        tally = simulate(medium, r_edges_mm=edges, n_photons=_photons(medium, photons), seed=SEED)
         value, error = tally.rd()
         centre = (edges[1:] + edges[:-1]) / 2
         model = _model_of(fit, channel)
@@ -88,9 +90,9 @@ def validate(fit: Fit, piece: Slice, *, progress: Callable[[str, int, int], None
     return checks
 
 
-def _photons(medium: MonteCarloMedium) -> int:
+def _photons(medium: MonteCarloMedium, photons: int) -> int:
     """More where they are absorbed soon, so that dark media take as long and are as smooth."""
-    return round(PHOTONS * max(1.0, 30 * medium.sigma_a / (medium.sigma_a + medium.sigma_s * (1 - medium.g))))
+    return round(photons * max(1.0, 30 * medium.sigma_a / (medium.sigma_a + medium.sigma_s * (1 - medium.g))))
 
 
 def _model_of(fit: Fit, channel: ChannelFit) -> ForwardModel:
@@ -120,10 +122,10 @@ def _over_rings(
     known = slice(0, _reach(model, medium, edges_mm))
     lo, hi = edges_mm[:-1][known], edges_mm[1:][known]
     of_model = np.asarray(model.bin_average(medium, jnp.asarray(lo), jnp.asarray(hi)))
-    lit = rd[known] > 0
+    lit = (rd[known] > 0) & (rd_se[known] > 0)
     log_r = np.log((lo + hi) / 2)
     ratio = np.polynomial.Polynomial.fit(
-        log_r[lit], (rd[known] / of_model)[lit], _DEGREES[model.name], w=(of_model / rd_se[known])[lit]
+        log_r[lit], (rd[known] / of_model)[lit], _DEGREES[model.name], w=of_model[lit] / rd_se[known][lit]
     )
     rings = (jnp.asarray(np.minimum(edge, hi[-1])) for edge in (measured.r_lo_mm, measured.r_hi_mm))
     at = np.log(np.clip(measured.r_mm, np.exp(log_r[0]), np.exp(log_r[-1])))
