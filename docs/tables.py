@@ -10,7 +10,7 @@ from pathlib import Path
 from bssrdf.rig.plan_toml import CapturePlan, ExposurePlan
 from bssrdf.session.flags import Flag
 from bssrdf.session.keys import Declared, keys_of
-from bssrdf.session.records import ChannelFit
+from bssrdf.session.records import Card, ChannelFit, Frame
 from bssrdf.session.session_toml import TABLES
 from bssrdf.session.slice_csv import HEADER
 from bssrdf.session.text_file import toml_value
@@ -43,6 +43,7 @@ def _keys(name: str) -> str:
     tables: dict[str, Mapping[str, Mapping[str, Declared]]] = {
         "session.toml": {f"[{table}] ": keys_of(record) for table, record in TABLES.items()},
         "plan.toml": {"": keys_of(CapturePlan), "[exposures] ": keys_of(ExposurePlan)},
+        "frames.csv": {"": {**keys_of(Frame), **keys_of(Card)}},
         "slice.csv": {"": HEADER},
     }
     return _HEAD + "".join(row for table, keys in tables[name].items() for row in _rows(table, keys))

@@ -6,6 +6,7 @@ import difflib
 import math
 import re
 from collections.abc import Callable, Iterable, Mapping
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 
@@ -111,6 +112,30 @@ def whole(check: Check) -> Check:
         return int(number)
 
     return without_fraction
+
+
+def time(value: Any) -> str:
+    """ISO 8601."""
+    try:
+        datetime.fromisoformat(value)
+    except ValueError as error:
+        raise ValueError("must be a time such as 2001-08-12T10:00:00Z") from error
+    return str(value)
+
+
+def levels(value: Any) -> tuple[float, ...]:
+    """One number, or several."""
+    if len(value) not in (1, 3, 4):
+        raise ValueError("must be one number, or one for each place of the pattern, with spaces between them")
+    numbers: tuple[float, ...] = list_of(number())(value)
+    return numbers
+
+
+def sha256(value: Any) -> str:
+    """A checksum in hexadecimal."""
+    if not re.fullmatch("[0-9a-f]{64}", value):
+        raise ValueError("must be 64 hexadecimal digits")
+    return str(value)
 
 
 def layout(value: Any) -> str:

@@ -2,22 +2,21 @@
 
 from __future__ import annotations
 
-import math
 import os
-from collections.abc import Callable, Iterable
-from dataclasses import fields
-from datetime import datetime
+from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
+from typing import Any, get_origin
 
 from bssrdf.errors import InputError
 from bssrdf.session.atomic import atomic_write, inside
 from bssrdf.session.checks import shown
-from bssrdf.session.records import KINDS, Card, Frame
+from bssrdf.session.keys import keys_of
+from bssrdf.session.records import Card, Frame
 from bssrdf.session.text_file import csv_text, parse_csv, read_text
 
-_CARD = tuple(field.name for field in fields(Card))
-COLUMNS = (*(field.name for field in fields(Frame) if field.name != "card"), *_CARD)
+_CARD = tuple(keys_of(Card))
+_KEYS = {**keys_of(Frame), **keys_of(Card)}
+COLUMNS = tuple(_KEYS)
 SAME_EXPOSURE = 1e-3
 """Relative difference up to which a dark has its frame's exposure."""
 
@@ -115,85 +114,28 @@ def _frame(file: Path, line: int, fields_of_row: dict[str, str]) -> Frame:
     values = {name: text.strip() for name, text in fields_of_row.items()}
     if not values["file"] or not values["file"].isprintable():
         raise InputError(f"{where}file {shown(values['file'])} must be a path relative to the session")
-    kind = values["kind"]
-    if kind not in KINDS:
-        raise InputError(f"{where}kind {shown(kind)} is not known; it must be one of {', '.join(KINDS)}")
-    optional = {name: _read(where, name, values[name]) for name in _READERS if values.get(name)}
-    return Frame(
-        file=values["file"],
-        kind=kind,
-        exposure_s=_read(where, "exposure_s", values["exposure_s"]),
-        card=Card(**{name: optional.pop(name) for name in _CARD if name in optional}),
-        **{name: value for name, value in optional.items() if name != "exposure_s"},
-    )
+    given = [name for name in COLUMNS if values.get(name) or name in COLUMNS[:3]]
+    known = {name: _read(where, name, values[name]) for name in given}
+    return Frame(card=Card(**{name: known.pop(name) for name in _CARD if name in known}), **known)
 
 
 def _read(where: str, column: str, text: str) -> Any:
+    declared = _KEYS[column]
     try:
-        return _READERS[column](text)
+        return declared.check(_raw(declared.kind, text))
     except ValueError as error:
-        raise InputError(f"{where}{column} {shown(text)} must be {error}") from error
+        unit = f" [{declared.unit}]" if declared.unit and declared.kind is float else ""
+        raise InputError(f"{where}{column} {shown(text)} {error}{unit}") from error
 
 
-def _number(text: str, above: float, wanted: str) -> float:
+def _raw(kind: Any, text: str) -> Any:
+    """The text as its kind wants it; where it is none of that kind, as it stands, for the check to refuse."""
+    if get_origin(kind) is tuple:
+        return [_raw(float, word) for word in text.split()]
     try:
-        value = float(text)
+        return float(text) if kind in (int, float) else text
     except ValueError:
-        value = math.nan
-    if not above < value < math.inf:
-        raise ValueError(wanted)
-    return value
-
-
-def _seconds(text: str) -> float:
-    return _number(text, 0, "a time in seconds above 0")
-
-
-def _positive(text: str) -> float:
-    return _number(text, 0, "a number above 0")
-
-
-def _finite(text: str) -> float:
-    return _number(text, -math.inf, "a finite number")
-
-
-def _whole(text: str) -> int:
-    if not text.isdecimal() or not int(text):
-        raise ValueError("a whole number above 0")
-    return int(text)
-
-
-def _levels(text: str) -> tuple[float, ...]:
-    if len(text.split()) not in (1, 3, 4):
-        raise ValueError("one number, or one for each place of the pattern, with spaces between them")
-    return tuple(_finite(word) for word in text.split())
-
-
-def _utc(text: str) -> str:
-    try:
-        datetime.fromisoformat(text)
-    except ValueError as error:
-        raise ValueError("a time such as 2001-08-12T10:00:00Z") from error
-    return text
-
-
-def _sha256(text: str) -> str:
-    if len(text) != 64 or set(text) - set("0123456789abcdef"):
-        raise ValueError("64 hexadecimal digits")
-    return text
-
-
-_READERS: dict[str, Callable[[str], Any]] = {
-    **dict.fromkeys(("exposure_s", "exposure_measured_s"), _seconds),
-    "utc": _utc,
-    "sha256": _sha256,
-    **dict.fromkeys(("exposure_rel_sd", "iso", "f_number", "focal_mm"), _positive),
-    **dict.fromkeys(("camera", "lens", "layout"), str),
-    **dict.fromkeys(("gain", "temperature_c"), _finite),
-    **dict.fromkeys(("bits", "width_px", "height_px", "orientation"), _whole),
-    **dict.fromkeys(("black", "white"), _levels),
-}
-"""How each column after file and kind is read; ValueError says what it must be."""
+        return text
 
 
 def _header(file: Path) -> list[str]:

@@ -22,6 +22,7 @@ from bssrdf.session.checks import (
     checked,
     choice,
     list_of,
+    matrix3,
     number,
     table,
     text,
@@ -173,6 +174,8 @@ def _check_of(kind: Any, key: Key) -> Check:
     match get_origin(kind), get_args(kind):
         case origin, choices if origin is Literal:
             return choice(*choices)
+        case origin, (row, *_) if origin is tuple and get_origin(row) is tuple:
+            return matrix3
         case origin, (item, *_) if origin is tuple:
             return unique(list_of(_check_of(item, key))) if key.unique else list_of(_check_of(item, key))
         case origin, (_, item) if origin is dict:

@@ -12,7 +12,7 @@ from typing import Annotated, Any, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from bssrdf.session.checks import layout, matrix3
+from bssrdf.session.checks import layout, levels, sha256, time
 from bssrdf.session.keys import ANGLE, COSINE, ERROR, LENGTH, POSITIVE, SHARE, Key, Range
 
 TOTAL_R_MAX = 1.1
@@ -39,6 +39,7 @@ BeamKind = Literal["white", "led", "laser"]
 Status = Literal["converged", "upper_bound", "unidentifiable", "rejected", "failed"]
 Array = NDArray[np.float64]
 ByChannel = dict[str, float]
+Matrix = tuple[tuple[float, float, float], ...]
 
 
 _DISPLAY = "calibrate colour writes it for pictures to look at; curves and fits stay in the camera's own channels"
@@ -54,16 +55,11 @@ class Material:
     """`[material]`: what lies under the beam."""
 
     name: Annotated[str, Key("what lies under the beam", example="milk", informational=_NAME)]
-    eta: Annotated[
-        float, Key("relative index of refraction: 1.3 for watery things, 1.5 for marble", POSITIVE, example=1.3)
-    ]
+    eta: Annotated[float, Key("index of refraction: 1.3 for watery things, 1.5 for marble", POSITIVE, example=1.3)]
     g: Annotated[float | None, Key("mean cosine of scattering", COSINE, example=0.0)] = None
     thickness_mm: Annotated[float | None, Key("size along the beam", POSITIVE, example=40.0)] = None
     width_mm: Annotated[float | None, Key("size across the beam", POSITIVE, example=100.0)] = None
-    backing: Annotated[
-        str | None,
-        Key("what lies below", example="black", informational="the fit takes a half space"),
-    ] = None
+    backing: Annotated[str | None, Key("what lies below", example="black", informational="not modelled")] = None
     cover: Annotated[Literal["none", "glass"], Key("what lies on top")] = "none"
     finish: Annotated[Literal["polished", "rough"], Key("the surface")] = "polished"
 
@@ -78,19 +74,13 @@ class Camera:
     ] = None
     black: Annotated[float | None, Key("level without light", ERROR, unit="DN", example=512.0)] = None
     white: Annotated[float | None, Key("level of saturation", POSITIVE, unit="DN", example=65535.0)] = None
-    gain_e_per_dn: Annotated[
-        float | None, Key("electrons per DN; else estimated from the frames", POSITIVE, example=1.0)
-    ] = None
-    read_noise_e: Annotated[
-        float | None, Key("noise of reading out; else estimated from the darks", ERROR, example=3.0)
-    ] = None
+    gain_e_per_dn: Annotated[float | None, Key("else estimated from the frames", POSITIVE, example=1.0)] = None
+    read_noise_e: Annotated[float | None, Key("else estimated from the darks", ERROR, example=3.0)] = None
     exposure_rel_sd: Annotated[
         float | None,
         Key("error of the exposures; else 0.03 for labels, 0.0005 for exposure_measured_s", POSITIVE, example=0.001),
     ] = None
-    aperture_mm: Annotated[
-        float, Key("entrance pupil, focal length over f-number; counts for a laser's speckle only", POSITIVE)
-    ] = 6.25
+    aperture_mm: Annotated[float, Key("focal length over f-number; for a laser's speckle only", POSITIVE)] = 6.25
     response: Annotated[
         Literal["debevec"] | None,
         Key("for JPEG or video: fit their response curve; good to percents at best", example="debevec"),
@@ -106,25 +96,19 @@ class Geometry:
         Key("scale in the surface, along the slice", POSITIVE, unit="mm", example=0.05, unless="homography"),
     ] = None
     homography: Annotated[
-        tuple[tuple[float, float, float], ...] | None,
-        Key(
-            "instead: 3x3, pixel (x, y, 1) to mm",
-            example=((0.05, 0.0, 0.0), (0.0, 0.07, 0.0), (0.0, 0.0, 1.0)),
-            check=matrix3,
-        ),
+        Matrix | None,
+        Key("instead: 3x3, pixel (x, y, 1) to mm", example=((0.05, 0.0, 0.0), (0.0, 0.07, 0.0), (0.0, 0.0, 1.0))),
     ] = None
     mm_per_px_rel_sd: Annotated[
         float | None,
         Key("relative error of the scale; 0.005 is assumed, and flagged, without it", SHARE, example=0.005),
     ] = None
-    distance_mm: Annotated[float, Key("lens to surface; counts for a laser's speckle only", POSITIVE)] = 300.0
+    distance_mm: Annotated[float, Key("lens to surface; for a laser's speckle only", POSITIVE)] = 300.0
     view_angle_deg: Annotated[float, Key("camera against the surface normal", ANGLE, ask=True)] = 45.0
     view_angle_sd_deg: Annotated[
         float | None, Key("error of the view angle; 1 is assumed, and flagged, without it", ERROR, example=1.0)
     ] = None
-    view_axis: Annotated[
-        Literal["x", "y"], Key("image axis that the view foreshortens; the slice crosses it", ask=True)
-    ] = "y"
+    view_axis: Annotated[Literal["x", "y"], Key("image axis that the view foreshortens", ask=True)] = "y"
 
 
 @dataclass(frozen=True)
@@ -134,9 +118,7 @@ class Beam:
     kind: Annotated[BeamKind, Key("a laser makes speckle and leaks into other channels", ask=True)] = "white"
     polarised: Annotated[bool, Key("an oblique beam that is polarised has a larger error of scale")] = False
     incidence_deg: Annotated[float, Key("beam against the surface normal", ANGLE, ask=True)] = 0.0
-    spot_radius_mm: Annotated[
-        float | None, Key("1/e² radius of the irradiance; else found on the tile", POSITIVE, example=0.15)
-    ] = None
+    spot_radius_mm: Annotated[float | None, Key("1/e² radius; else found on the tile", POSITIVE, example=0.15)] = None
     channels: Annotated[
         tuple[str, ...] | None,
         Key(
@@ -177,12 +159,9 @@ class Distortion:
     """`[distortion]`: OpenCV's pinhole camera matrix and its lens distortion coefficients."""
 
     camera_matrix: Annotated[
-        tuple[tuple[float, float, float], ...],
+        Matrix,
         Key(
-            "OpenCV's pinhole camera",
-            unit="px",
-            example=((1000.0, 0.0, 320.0), (0.0, 1000.0, 240.0), (0.0, 0.0, 1.0)),
-            check=matrix3,
+            "OpenCV's pinhole camera", unit="px", example=((1000.0, 0.0, 320.0), (0.0, 1000.0, 240.0), (0.0, 0.0, 1.0))
         ),
     ]
     coefficients: Annotated[tuple[float, ...], Key("k1, k2, p1, p2 and on, as OpenCV orders them", example=(0.0, 0.0))]
@@ -193,11 +172,10 @@ class Colour:
     """`[colour]`: from linear camera RGB, white at 1, to linear sRGB (D65). For display only."""
 
     matrix: Annotated[
-        tuple[tuple[float, float, float], ...],
+        Matrix,
         Key(
             "3x3, linear camera RGB with white at 1 to linear sRGB (D65)",
             example=((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)),
-            check=matrix3,
             informational=_DISPLAY,
         ),
     ]
@@ -223,42 +201,38 @@ class Session:
 class Card:
     """What the file of a frame says of itself, None where it does not: each an optional column of frames.csv."""
 
-    camera: str | None = None
-    lens: str | None = None
-    iso: float | None = None
-    gain: float | None = None
-    """Of a machine-vision camera, in its own unit."""
-    f_number: float | None = None
-    focal_mm: float | None = None
-    temperature_c: float | None = None
-    """Of the sensor, or of the camera."""
-    layout: str | None = None
-    """As in `[camera]`."""
-    bits: int | None = None
-    """Of the numbers, where the file tells; a container may be wider."""
-    black: tuple[float, ...] | None = None
-    """[DN], one number, or four by place in the 2×2 pattern."""
-    white: tuple[float, ...] | None = None
-    """[DN], likewise."""
-    width_px: int | None = None
-    height_px: int | None = None
-    orientation: int | None = None
-    """By EXIF: how the picture is to be turned for display. The data are never turned."""
+    camera: Annotated[str | None, Key("its model")] = None
+    lens: Annotated[str | None, Key("its model")] = None
+    iso: Annotated[float | None, Key("ISO speed", POSITIVE)] = None
+    gain: Annotated[float | None, Key("of a machine-vision camera, in its own unit")] = None
+    f_number: Annotated[float | None, Key("of the lens", POSITIVE)] = None
+    focal_mm: Annotated[float | None, Key("focal length", POSITIVE)] = None
+    temperature_c: Annotated[float | None, Key("of the sensor, or of the camera")] = None
+    layout: Annotated[str | None, Key("as in `[camera]`")] = None
+    bits: Annotated[int | None, Key("of the numbers, where the file tells; a container may be wider", POSITIVE)] = None
+    black: Annotated[
+        tuple[float, ...] | None, Key("one number, 3 by channel or 4 by place", unit="DN", check=levels)
+    ] = None
+    white: Annotated[tuple[float, ...] | None, Key("likewise", unit="DN", check=levels)] = None
+    width_px: Annotated[int | None, Key("of the picture", POSITIVE)] = None
+    height_px: Annotated[int | None, Key("of the picture", POSITIVE)] = None
+    orientation: Annotated[int | None, Key("by EXIF, for display; the data are never turned", POSITIVE)] = None
 
 
 @dataclass(frozen=True)
 class Frame:
     """One line of frames.csv."""
 
-    file: str
-    kind: FrameKind
-    exposure_s: float
-    exposure_measured_s: float | None = None
-    utc: str | None = None
-    """ISO 8601; without a zone it is the camera's own clock."""
-    sha256: str | None = None
-    exposure_rel_sd: float | None = None
-    """Relative error of the exposure used; None: assumed by where it comes from."""
+    file: Annotated[str, Key("path in the session")]
+    kind: Annotated[FrameKind, Key("what it shows")]
+    exposure_s: Annotated[float, Key("as asked for", POSITIVE)]
+    exposure_measured_s: Annotated[float | None, Key("as something measured it, which wins", POSITIVE)] = None
+    utc: Annotated[str | None, Key("ISO 8601; without a zone it is the camera's own clock", check=time)] = None
+    sha256: Annotated[str | None, Key("checksum of the file", check=sha256)] = None
+    exposure_rel_sd: Annotated[
+        float | None,
+        Key("error of the exposure; else `[camera]`'s, 0.0005 if measured, 0.03 if not", POSITIVE),
+    ] = None
     card: Card = Card()
 
 
@@ -287,50 +261,33 @@ class Slice:
     exit: Annotated[
         Exit,
         Key(
-            "what was seen: all light that leaves, as simulations count it (hemisphere), or what a camera saw "
-            "against a white reference, by a Fresnel or Lambertian angular law",
+            "all light that leaves (hemisphere), or a camera's view against a white reference by this law",
             example="fresnel",
         ),
     ]
     view_angle_deg: Annotated[float, Key("camera against the surface normal", ANGLE)] = 45.0
     view_angle_sd_deg: Annotated[float | None, Key("error of the view angle", ERROR)] = None
-    azimuth: Annotated[
-        Azimuth, Key("of a camera at an angle: at a right angle to the radius, or the mean over a whole image")
-    ] = "perpendicular"
-    band_mm: Annotated[
-        float | None,
-        Key(
-            "full width along the view of the band that a perpendicular slice averages: within half of it from the "
-            "beam every azimuth is seen",
-            LENGTH,
-        ),
-    ] = None
+    azimuth: Annotated[Azimuth, Key("of the camera to the radius: at a right angle, or a mean")] = "perpendicular"
+    band_mm: Annotated[float | None, Key("full width along the view of the pixels that make a slice", LENGTH)] = None
     incidence_deg: Annotated[float, Key("beam against the surface normal", ANGLE)] = 0.0
     total_r: Annotated[
         ByChannel, Key("total reflectance in the curve's own convention", Range(above=0, at_most=TOTAL_R_MAX))
     ] = field(default_factory=dict)
     total_r_sd: Annotated[ByChannel, Key("its error", ERROR)] = field(default_factory=dict)
-    lost_fraction: Annotated[
-        ByChannel | None, Key("share of the light beyond the frame, already in total_r", SHARE)
-    ] = None
+    lost_fraction: Annotated[ByChannel | None, Key("light beyond the frame, already in total_r", SHARE)] = None
     g: Annotated[float | None, Key("mean cosine of the phase function", COSINE)] = None
     eta_sd: Annotated[float | None, Key("error of eta", ERROR)] = None
     g_sd: Annotated[float | None, Key("error of g", ERROR)] = None
     spot_radius_mm: Annotated[float | None, Key("1/e² radius of the spot", LENGTH)] = None
     spot_radius_sd_mm: Annotated[float | None, Key("error of the spot radius", ERROR)] = None
-    scale_rel_sd: Annotated[
-        float | None,
-        Key("relative error common to curve and total; none counts as 0, flagged", ERROR),
-    ] = None
-    mm_rel_sd: Annotated[float | None, Key("relative error of all lengths; none counts as 0, flagged", ERROR)] = None
+    scale_rel_sd: Annotated[float | None, Key("relative error of curve and total; else 0, flagged", ERROR)] = None
+    mm_rel_sd: Annotated[float | None, Key("relative error of all lengths; else 0, flagged", ERROR)] = None
     shared_errors: Annotated[
         str | None, Key("slices with the same text share errors of scale and length, as those against one tile do")
     ] = None
     material: Annotated[str | None, Key("name of the material", informational=_NAME)] = None
     wavelength_nm: Annotated[ByChannel | None, Key("of the light", POSITIVE, informational="names the band")] = None
-    flags: Annotated[
-        tuple[str, ...], Key("problems found while measuring", informational="handed on to the flags of the fit")
-    ] = ()
+    flags: Annotated[tuple[str, ...], Key("found while measuring", informational="go to the fit's")] = ()
     provenance: Annotated[
         dict[str, Any], Key("where the curve comes from", informational="so that it can be measured again")
     ] = field(default_factory=dict)
@@ -350,10 +307,7 @@ class ChannelFit:
     correlation: Annotated[float, Key("of the errors of σa and σs′")]
     model_error: Annotated[
         dict[str, float],
-        Key(
-            "what the model itself is off by on light like this, relative to the value, by coefficient (`sigma_a`, "
-            "`sigma_sp`): the dipole's bias, not part of the sd; a table's own noise, which is"
-        ),
+        Key("relative to the value, by coefficient: the dipole's bias, not in the sd; a table's noise, which is"),
     ] = field(default_factory=dict)
     budget: Annotated[
         dict[str, dict[str, float]],

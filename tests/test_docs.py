@@ -54,7 +54,7 @@ def test_tables_of_keys_and_flags_say_what_is_declared() -> None:
         text = page.read_text(encoding="utf-8")
         assert tables["written_anew"](text) == text, page.name
         named += [name for _, name, _ in tables["PLACE"].findall(text)]
-    keys = [f"keys of {file}" for file in ("fit.json", "plan.toml", "session.toml", "slice.csv")]
+    keys = [f"keys of {file}" for file in ("fit.json", "frames.csv", "plan.toml", "session.toml", "slice.csv")]
     assert sorted(named) == ["flags of fit", "flags of measure", *keys]
 
 

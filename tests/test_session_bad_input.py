@@ -96,9 +96,9 @@ FRAMES_CASES = {
     "an unknown column": ("file,kind,exposure\na.tif,sample,1\n", ["exposure", "exposure_s"]),
     "a column twice": ("file,kind,exposure_s,kind\na.tif,sample,1,sample\n", ["twice"]),
     "an unknown kind": (FRAMES_HEADER + "a.tif,simple,1\n", ["line 2", "'simple'", "sample"]),
-    "exposure 0": (FRAMES_HEADER + "a.tif,sample,0\n", ["line 2", "'0'", "above 0"]),
+    "exposure 0": (FRAMES_HEADER + "a.tif,sample,0\n", ["line 2", "'0'", "> 0 [s]"]),
     "exposure negative": (FRAMES_HEADER + "a.tif,sample,-1\n", ["'-1'"]),
-    "exposure not a number": (FRAMES_HEADER + "a.tif,sample,1/250\n", ["'1/250'", "seconds"]),
+    "exposure not a number": (FRAMES_HEADER + "a.tif,sample,1/250\n", ["'1/250'", "a finite number > 0 [s]"]),
     "exposure NaN": (FRAMES_HEADER + "a.tif,sample,nan\n", ["'nan'"]),
     "exposure infinite": (FRAMES_HEADER + "a.tif,sample,inf\n", ["'inf'"]),
     "a measured exposure below 0": (

@@ -63,8 +63,8 @@ def test_written_frames_are_read_back(tmp_path_factory: pytest.TempPathFactory, 
 @pytest.mark.parametrize(
     ("column", "text", "wanted"),
     [
-        ("iso", "auto", "a number above 0"),
-        ("exposure_rel_sd", "0", "a number above 0"),
+        ("iso", "auto", "a finite number > 0"),
+        ("exposure_rel_sd", "0", "a finite number > 0"),
         ("temperature_c", "nan", "a finite number"),
         ("bits", "12.5", "a whole number"),
         ("black", "1 2", "one number, or one for each place"),
