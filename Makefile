@@ -24,7 +24,7 @@ check: .venv/installed
 	$(BIN)/python tests/words.py
 
 bench: .venv/installed
-	$(BIN)/bssrdf bench fit
+	$(BIN)/bssrdf bench fit --history bench/history.jsonl
 
 docs-tables: .venv/installed
 	$(BIN)/python docs/tables.py

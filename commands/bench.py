@@ -35,14 +35,25 @@ def hdr(out: Path | None, force: bool) -> None:
 @bench.command()
 @OUT
 @force_option
-def fit(out: Path | None, force: bool) -> None:
+@click.option(
+    "--history",
+    type=click.Path(dir_okay=False, path_type=Path),
+    help="Append the ratios to SciPy, with the commit, to this file of JSON lines, and tell which have fallen.",
+)
+def fit(out: Path | None, force: bool, history: Path | None) -> None:
     """Fit the same curves by every model and constraint, by jaxopt and by SciPy."""
-    from bssrdf.bench.fit import run_fit_bench, table
+    from bssrdf.bench.fit import ratios, run_fit_bench, table
+    from bssrdf.bench.history import appended, read_ratios
     from bssrdf.report import steps
+
+    if history is not None:
+        read_ratios(history)
 
     with steps(quiet=is_quiet()) as progress:
         scores = run_fit_bench(out=out and fresh(out, force), progress=progress)
     click.echo(table(scores))
+    for remark in appended(history, ratios(scores)) if history is not None else ():
+        click.echo(f"slower: {remark}", err=True)
 
 
 @bench.command()
