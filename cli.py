@@ -10,6 +10,7 @@ from bssrdf import __version__
 from bssrdf.commands.bench import bench, demo
 from bssrdf.commands.calibrate import calibrate
 from bssrdf.commands.console import Group, run
+from bssrdf.commands.export import export
 from bssrdf.commands.fit import fit, table, validate
 from bssrdf.commands.measure import measure, views
 from bssrdf.commands.render import compare, doctor, render
@@ -24,6 +25,7 @@ COMMANDS = (
     compare,
     demo,
     doctor,
+    export,
     fit,
     ingest,
     init,
