@@ -8,6 +8,7 @@ for white media walks end too early, a second, coarser one brings back what is m
 
 from __future__ import annotations
 
+import functools
 import math
 from typing import NamedTuple
 
@@ -25,12 +26,18 @@ LIT, SHADOW = 0.03, 0.12
 """Errors of the two sides of an edge that weigh the same: an eye sees the shadow's as less."""
 DEPTHS = np.array([0.05, 0.1, 0.2, 0.4, 0.7, 1.0, 1.25, 1.5])
 """Where the edge is matched, in 1/σtr."""
-WIDEST = 30.0
-"""[1/σt′] What stands for 1/σtr where almost nothing is absorbed and light spreads without end."""
+WIDEST, WHITE = 120.0, 60.0
+"""[1/σt′] Two walks of 256 bounces follow light over 1.5/σtr where 1/σtr is up to WIDEST, as in cream; where it is
+more, or there is no absorption, the edge is matched over WHITE in its place."""
 LEAST_ALBEDO, MOST_ALBEDO = 1e-5, 1 - 1e-6
-SECOND_WEIGHT = 0.2
+SECOND_WEIGHT = 0.13
 """Of the second walk, one for all channels, as renderers mix closures; the channel's share lies in its albedo."""
-SECOND_STARTS = ((-1.0, 0.9, 3.0), (1.0, 0.7, 2.0), (-2.0, 1.0, 6.0), (2.0, 0.5, 1.5))
+WORTH = 0.7
+"""What is left of the mismatch where a second walk is worth its while."""
+LEAST_SECOND = 1e-3
+"""Of R: less is no second walk."""
+SHARES, NEAR, FAR = (-3.0, -1.0, 1.0, 3.0), (0.6, 0.8, 1.0, 1.3), (1.5, 3.0, 6.0, 12.0, 24.0)
+"""Where the search for two walks looks first: logit of the second's part, mean free paths over those of one walk."""
 
 
 class Limits(NamedTuple):
@@ -69,15 +76,18 @@ class Closure(NamedTuple):
     """1/σtr, or what stands for it."""
 
 
+@functools.lru_cache(maxsize=64)
 def solve(medium: Medium, limits: Limits) -> Closure:
     """The closure nearest to the medium; InputError where the table knows no such medium."""
     measured = measured_spread(medium)
-    length = min(1 / medium.sigma_tr if medium.sigma_tr else math.inf, WIDEST / medium.sigma_tp)
+    wide = medium.sigma_tr * WIDEST < medium.sigma_tp
+    length = WHITE / medium.sigma_tp if wide else 1 / medium.sigma_tr
     first, worst = _one(medium, measured, length, limits)
-    if worst <= 1 or not limits.second:
-        return Closure(first, None, first.spread(limits), measured, length)
-    first, second = _two(first, measured, length, limits)
-    return Closure(first, second, added([first.spread(limits), second.spread(limits)]), measured, length)
+    if limits.second and worst > 1:
+        (near, far), worst_of_two = _two(first, measured, length, limits)
+        if worst_of_two < WORTH * worst:
+            return Closure(near, far, added([near.spread(limits), far.spread(limits)]), measured, length)
+    return Closure(first, None, first.spread(limits), measured, length)
 
 
 def walk_total(albedo: float, limits: Limits) -> float:
@@ -130,10 +140,10 @@ def _same_decay(medium: Medium, albedo: float) -> float:
     return decay_constant(min(albedo, MOST_ALBEDO), 0.0) / kappa
 
 
-def _two(one: Walk, measured: Spread, length: float, limits: Limits) -> tuple[Walk, Walk]:
-    """Two walks that have the measured R together: the second's share of it, and both mean free paths, by the edge."""
+def _two(one: Walk, measured: Spread, length: float, limits: Limits) -> tuple[tuple[Walk, Walk], float]:
+    """Two walks that have the measured R together, the far one's share and both mean free paths by the edge."""
     most = walk_total(MOST_ALBEDO, limits)
-    lo, hi = max(measured.total - most, 0.0), SECOND_WEIGHT * most
+    lo, hi = max(measured.total - most, LEAST_SECOND * measured.total), SECOND_WEIGHT * most
 
     def walks(p: Floats) -> tuple[Walk, Walk]:
         second = lo + (hi - lo) / (1 + math.exp(-p[0]))
@@ -144,8 +154,8 @@ def _two(one: Walk, measured: Spread, length: float, limits: Limits) -> tuple[Wa
     def off(p: Floats) -> float:
         return _worst(added([walk.spread(limits) for walk in walks(p)]), measured, length)
 
-    found = [
-        minimize(off, [share, math.log(near), math.log(far)], method="Nelder-Mead", options={"maxiter": 200})
-        for share, near, far in SECOND_STARTS
-    ]
-    return walks(min(found, key=lambda each: each.fun).x)
+    coarse = [np.array([share, math.log(a), math.log(b)]) for share in SHARES for a in NEAR for b in FAR]
+    best = sorted(coarse, key=off)[:3]
+    found = [minimize(off, start, method="Nelder-Mead", options={"maxiter": 200}) for start in best]
+    least = min(found, key=lambda each: each.fun)
+    return walks(least.x), float(least.fun)
