@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,8 +50,3 @@ def _scene(file: Path, name: str, edge: bool, half: float, field: float, pixels:
     </film>
   </sensor>
 </scene>"""
-
-
-def shown(picture: Any) -> Floats:
-    """Columns from the shaded side to the lit one."""
-    return np.asarray(picture)

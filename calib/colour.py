@@ -1,4 +1,4 @@
-"""`bssrdf calibrate colour`: camera RGB to linear sRGB from a colour chart, for display; fits stay in camera RGB."""
+"""`bssrdf calibrate colour`: camera RGB to linear sRGB from a colour chart, and slices converted by it."""
 
 from __future__ import annotations
 

@@ -87,12 +87,12 @@ def geometry(
 @OUT
 @FORCE
 def colour(image: Path, layout: str | None, black: float | None, out: Path, force: bool) -> None:
-    """Camera RGB to linear sRGB from an IMAGE of a 24-patch chart, for display; fits stay in camera channels."""
+    """Camera RGB to linear sRGB from an IMAGE of a 24-patch chart, for `measure --space`."""
     from bssrdf.calib import calibrate_colour
     from bssrdf.session.records import Camera
 
     found = calibrate_colour(image, Camera(layout=layout, black=black))
-    _add(out, {"colour": {"matrix": found.matrix.tolist()}}, force)
+    _add(out, {"colour": {"matrix": found.matrix.tolist(), "rms": found.rms}}, force)
     click.echo(f"patches missed by {found.rms:.3g} (root mean square, linear sRGB)\n{out}: [colour] written")
 
 

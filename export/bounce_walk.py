@@ -16,7 +16,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from bssrdf.transport.parallel import Progress, run_all
+from bssrdf.transport import Progress, run_all
 from bssrdf.transport.photon import State, free_path, scatter, stream_states
 
 Floats = NDArray[np.float64]

@@ -18,7 +18,7 @@ from scipy.optimize import brentq, minimize, minimize_scalar
 
 from bssrdf.errors import InputError
 from bssrdf.export.spread import Medium, Spread, added, measured_spread, walk_spread
-from bssrdf.transport.discrete_ordinates import decay_constant, half_space
+from bssrdf.transport import decay_constant, half_space
 
 Floats = NDArray[np.float64]
 
@@ -29,6 +29,8 @@ DEPTHS = np.array([0.05, 0.1, 0.2, 0.4, 0.7, 1.0, 1.25, 1.5])
 WIDEST, WHITE = 120.0, 60.0
 """[1/σt′] Two walks of 256 bounces follow light over 1.5/σtr where 1/σtr is up to WIDEST, as in cream; where it is
 more, or there is no absorption, the edge is matched over WHITE in its place."""
+LEAST_REDUCED = 0.02
+"""α′ below which the Monte Carlo tables have no light."""
 LEAST_ALBEDO, MOST_ALBEDO = 1e-5, 1 - 1e-6
 SECOND_WEIGHT = 0.13
 """Of the second walk, one for all channels, as renderers mix closures; the channel's share lies in its albedo."""
@@ -79,6 +81,11 @@ class Closure(NamedTuple):
 @functools.lru_cache(maxsize=64)
 def solve(medium: Medium, limits: Limits) -> Closure:
     """The closure nearest to the medium; InputError where the table knows no such medium."""
+    if medium.sigma_sp < LEAST_REDUCED * medium.sigma_tp:
+        raise InputError(
+            f"σa {medium.sigma_a:.3g} and σs′ {medium.sigma_sp:.3g}/mm are black to a renderer, R {medium.total:.1g}: "
+            "no random walk stands for them; is the channel measured at all?"
+        )
     measured = measured_spread(medium)
     wide = medium.sigma_tr * WIDEST < medium.sigma_tp
     length = WHITE / medium.sigma_tp if wide else 1 / medium.sigma_tr
@@ -101,8 +108,6 @@ def albedo_of_total(total: float, limits: Limits) -> float:
     """The albedo whose walk has this R, or the most there is where none reaches it."""
     if walk_total(MOST_ALBEDO, limits) <= total:
         return MOST_ALBEDO
-    if walk_total(LEAST_ALBEDO, limits) >= total:
-        raise InputError(f"R {total:.3g} is below what a random walk can show; the material is black to a renderer")
     return float(brentq(lambda albedo: walk_total(albedo, limits) - total, LEAST_ALBEDO, MOST_ALBEDO, xtol=1e-9))
 
 

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from bssrdf.export.spread import Medium
-from bssrdf.transport.discrete_ordinates import half_space
+from bssrdf.transport import half_space
 
 NEARLY_WHITE = 1e-6
 """1 − albedo at which R has its square-root law."""

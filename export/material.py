@@ -16,7 +16,7 @@ from bssrdf.export.spread import Medium
 from bssrdf.export.text import identifier
 from bssrdf.session.fit_json import read_fit
 from bssrdf.session.records import ChannelFit, Fit
-from bssrdf.transport.materials import CHANNELS, find_material, load_materials, table_source
+from bssrdf.transport import CHANNELS, find_material, load_materials, table_source
 
 Rgb = tuple[float, float, float]
 Names = tuple[str, str, str]
@@ -126,7 +126,7 @@ def _material(
     path: Path, fit: Fit, names: Names, space: str | None, untrusted: bool, said: tuple[str, ...]
 ) -> Material:
     channels = [_channel(path, fit, name, untrusted) for name in names]
-    own = getattr(fit, "space", None)
+    own = fit.about.get("space")
     if space is not None and space != (own or CAMERA):
         raise InputError(
             f"{path}: is in {own or CAMERA} RGB, not in {space}; run `bssrdf measure --space {space}` and fit again"

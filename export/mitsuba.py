@@ -16,8 +16,7 @@ from bssrdf.export.solved import Setting, depth_residuals, head
 from bssrdf.export.spread import Medium
 from bssrdf.export.text import comment, identifier, xml_comment
 from bssrdf.export.unit import coefficients, rounded
-from bssrdf.transport.discrete_ordinates import decay_constant
-from bssrdf.transport.materials import CHANNELS
+from bssrdf.transport import CHANNELS, decay_constant
 
 LOST = 0.003
 """Share of R that a file may lose by ending paths."""
@@ -113,10 +112,9 @@ def _ours(material: Material, setting: Setting) -> Part:
 
 def dipole_like(medium: Medium) -> Medium:
     """The medium whose dipole and single scattering add up to the measured R and fall as the measured light far out."""
+    from bssrdf.transport import first_order_total, scoped_x64
     from bssrdf.transport.dipole import Medium as DipoleMedium
     from bssrdf.transport.dipole import total_r
-    from bssrdf.transport.precision import scoped_x64
-    from bssrdf.transport.single import first_order_total
 
     albedo = medium.sigma_s / (medium.sigma_s + medium.sigma_a)
     kappa = decay_constant(albedo, medium.g) * (medium.sigma_s + medium.sigma_a)

@@ -11,7 +11,7 @@ from bssrdf.export.closure import DEPTHS, Closure, Limits, solve
 from bssrdf.export.loss import lost_share
 from bssrdf.export.material import CAMERA, Material
 from bssrdf.export.unit import Unit
-from bssrdf.transport.materials import CHANNELS
+from bssrdf.transport import CHANNELS
 
 Keep = Literal["appearance", "medium"]
 Triple = tuple[Closure, Closure, Closure]

@@ -12,10 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bssrdf.export.bounce_walk import N_ORDERS, orders, rho_edges
+from bssrdf.transport import half_space, place, table_model
 from bssrdf.transport.arrays import NUMPY
-from bssrdf.transport.discrete_ordinates import half_space
 from bssrdf.transport.light import shape_of, table_of
-from bssrdf.transport.white.store import G_RANGE, table_model
 
 Floats = NDArray[np.float64]
 
@@ -103,7 +102,7 @@ def added(parts: list[Spread]) -> Spread:
 def measured_spread(medium: Medium) -> Spread:
     """Light of the measured medium by the Monte Carlo tables; a g below 0 as 0 at the same σs′."""
     _, q = shape_of(medium.sigma_a, medium.sigma_sp)
-    table = table_of(table_model(medium.eta, min(max(medium.g, 0.0), G_RANGE[1])))
+    table = table_of(table_model(medium.eta, place(medium.eta, max(medium.g, 0.0)).g))
     r = np.sqrt(FINE[1:] * FINE[:-1])
     rd = table.look(NUMPY, np.array([[q]]), r[None])[0][0]
     share = rd * np.pi * np.diff(FINE**2)

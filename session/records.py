@@ -34,6 +34,7 @@ FrameKind = Literal[
 KINDS: tuple[FrameKind, ...] = get_args(FrameKind)
 Flux = Literal["incident", "entering"]
 Exit = Literal["hemisphere", "lambertian", "fresnel"]
+Space = Literal["camera", "lin_rec709", "acescg"]
 Azimuth = Literal["perpendicular", "mean"]
 BeamKind = Literal["white", "led", "laser"]
 Status = Literal["converged", "upper_bound", "unidentifiable", "rejected", "failed"]
@@ -42,7 +43,7 @@ ByChannel = dict[str, float]
 Matrix = tuple[tuple[float, float, float], ...]
 
 
-_DISPLAY = "calibrate colour writes it for pictures to look at; curves and fits stay in the camera's own channels"
+_DISPLAY = "calibrate colour writes it, and only measure --space asks for it"
 _NAME = "names the result"
 _WHOLE_ERROR = (
     "the whole error but the model's bias: noise of the curve, errors of R, scale, lengths and all that the budget "
@@ -169,7 +170,7 @@ class Distortion:
 
 @dataclass(frozen=True)
 class Colour:
-    """`[colour]`: from linear camera RGB, white at 1, to linear sRGB (D65). For display only."""
+    """`[colour]`: from linear camera RGB, white at 1, to linear sRGB (D65)."""
 
     matrix: Annotated[
         Matrix,
@@ -179,6 +180,10 @@ class Colour:
             informational=_DISPLAY,
         ),
     ]
+    rms: Annotated[
+        float | None,
+        Key("root mean square miss of the chart's patches, linear sRGB", SHARE, informational=_DISPLAY),
+    ] = None
 
 
 @dataclass(frozen=True)
@@ -286,6 +291,10 @@ class Slice:
         str | None, Key("slices with the same text share errors of scale and length, as those against one tile do")
     ] = None
     material: Annotated[str | None, Key("name of the material", informational=_NAME)] = None
+    space: Annotated[
+        Space | None,
+        Key("colour space of R, G, B; none is the camera's own, unsaid", informational="tells a renderer what to do"),
+    ] = None
     wavelength_nm: Annotated[ByChannel | None, Key("of the light", POSITIVE, informational="names the band")] = None
     flags: Annotated[tuple[str, ...], Key("found while measuring", informational="go to the fit's")] = ()
     provenance: Annotated[

@@ -39,7 +39,7 @@ def fit_document(**changes: Any) -> dict[str, Any]:
         "material": "soap",
         "eta": 1.5,
         "g": 0.0,
-        "space": "camera",
+        "about": {"space": "camera"},
         "channels": {name: dict(CHANNEL) for name in "RGB"},
     } | changes
 
@@ -94,7 +94,9 @@ def test_fit_is_written_for_each_renderer(
         assert line in text
 
 
-@pytest.mark.parametrize(("status", "why"), [("rejected", "contradict"), ("unidentifiable", "determine"), ("upper_bound", "upper bound")])
+@pytest.mark.parametrize(
+    ("status", "why"), [("rejected", "contradict"), ("unidentifiable", "determine"), ("upper_bound", "upper bound")]
+)
 def test_untrusted_fit_is_refused_and_marked_where_it_is_asked_for(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], status: str, why: str
 ) -> None:
@@ -115,7 +117,7 @@ def test_untrusted_fit_is_refused_and_marked_where_it_is_asked_for(
         (fit_document(g=None), "g was not given"),
         (fit_document(g=-0.3), "below 0"),
         (with_channel(sigma_a_per_mm=0.0), "σa is 0 in G"),
-        ({key: value for key, value in fit_document().items() if key != "space"}, "colour space not stated"),
+        (fit_document(about={}), "colour space not stated"),
     ],
 )
 def test_what_must_be_known_is_said_in_a_line_and_in_the_file(
@@ -133,8 +135,8 @@ def test_what_must_be_known_is_said_in_a_line_and_in_the_file(
     ("document", "words"),
     [
         (with_channel(status="failed", sigma_a_per_mm=None, sigma_sp_per_mm=None), "G is failed and has no value"),
-        (fit_document(channels={name: CHANNEL for name in ("633nm", "532nm", "473nm")}), "--rgb"),
-        (fit_document(channels={name: CHANNEL for name in "RG"}), "has no channel B"),
+        (fit_document(channels=dict.fromkeys(("633nm", "532nm", "473nm"), CHANNEL)), "--rgb"),
+        (fit_document(channels=dict.fromkeys("RG", CHANNEL)), "has no channel B"),
         (with_channel(sigma_a_per_mm=2e7), "black to a renderer"),
         (fit_document(eta=0.8), "eta"),
     ],
@@ -147,7 +149,7 @@ def test_what_cannot_be_exported_is_refused_by_its_cause(
 
 
 def test_other_channels_can_stand_for_red_green_and_blue(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    document = fit_document(channels={name: CHANNEL for name in ("473nm", "532nm", "633nm")})
+    document = fit_document(channels=dict.fromkeys(("473nm", "532nm", "633nm"), CHANNEL))
     path = written(tmp_path / "fit.json", document)
     out = tmp_path / "o.pbrt"
     assert export(capsys, path, "--to", "pbrt", "--rgb", "633nm,532nm,473nm", "--out", out)[0] == 0
