@@ -18,7 +18,7 @@ from bssrdf.measure.image import Image
 from bssrdf.measure.learn import Learnt, learn_camera
 from bssrdf.measure.merged import Merged, Told, inputs_of, read_elsewhere, read_merged
 from bssrdf.measure.pixels import channel_names, mosaic_period
-from bssrdf.measure.plot import write_slice_png
+from bssrdf.measure.plot import write_scene_png, write_slice_png
 from bssrdf.measure.slice import SliceOptions, measure_slice
 from bssrdf.measure.total_errors import Timing
 from bssrdf.session.atomic import replace_folder, sha256_of
@@ -65,7 +65,7 @@ def measure_session(
         _check_complete(session, listed)
     merged = read_merged(session, listed, _KINDS) if from_hdr else _merged(session, listed, hdr_rel_sd, progress)
     told = merged.told
-    curve = None
+    curve, images = None, dict[str, Image]()
     if not hdr_only:
         images = images_of(session, merged)
         options = SliceOptions(radial, glare, band_mm)
@@ -80,11 +80,11 @@ def measure_session(
         )
     measured = Measured(merged.images, merged.provenance, curve)
     if from_hdr:
-        _write_curve(session.path / "measured", measured)
+        _write_curve(session.path / "measured", session, images, measured)
     else:
         with replace_folder(session.path / "measured") as folder:
             merged.write(folder)
-            _write_curve(folder, measured)
+            _write_curve(folder, session, images, measured)
     return measured
 
 
@@ -228,7 +228,8 @@ def _relative(exposures: Exposures) -> dict[str, float]:
     return {f"{kind} {label:g}": sd for (kind, label), sd in zip(exposures.frames, sds, strict=True)}
 
 
-def _write_curve(folder: Path, measured: Measured) -> None:
+def _write_curve(folder: Path, session: Session, images: Mapping[str, Image], measured: Measured) -> None:
     if measured.slice is not None:
         write_slice(folder / "slice.csv", measured.slice)
         write_slice_png(folder / "slice.png", measured.slice)
+        write_scene_png(folder / "scene.png", session, images, measured.slice)

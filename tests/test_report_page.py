@@ -6,10 +6,12 @@ import json
 import shutil
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import lru_cache
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 from browser import chromium, show
@@ -69,7 +71,9 @@ class Page(HTMLParser):
                 self.answers[answer] = self.answers.get(answer, "") + data
 
 
+@lru_cache
 def report_on(path: Path, *more: object) -> Page:
+    """The page on a session, or on a fit with `--out`; made once."""
     assert bssrdf("report", path, *more) == 0
     html = (path / "report.html" if path.is_dir() else Path(str(more[1]))).read_text(encoding="utf-8")
     assert len(html.encode()) < MOST_BYTES
@@ -192,6 +196,18 @@ def test_saturated_pixels_and_the_slice_are_those_of_the_images(good: Path, clip
     assert np.hypot(*(np.array(spot.split(","), float) - (x, y))) < 3
 
 
+def test_saturated_pixels_are_red_in_the_scene(good: Path, clipped: Path) -> None:
+    red = {}
+    for session in (good, clipped):
+        drawn = cv2.imread(str(session / "measured" / "scene.png"))
+        assert drawn is not None
+        where = np.argwhere((drawn[120:, :900] == (48, 59, 255)).all(axis=2))
+        red[session.name] = where + np.array([120, 0])
+    assert not len(red["good"])
+    spot = np.array(report_on(clipped).answers["slice"].split("spot at (")[1].split(")")[0].split(","), float)
+    assert np.hypot(*(red["clipped"].mean(axis=0)[::-1] * 400 / 900 - spot)) < 4
+
+
 def test_image_points_are_found_from_the_surface() -> None:
     geometry = Geometry(homography=((0.05, 0.004, 1.0), (0.002, 0.07, 2.0), (1e-5, 2e-5, 1.0)), view_angle_deg=40.0)
     surface, centre = Surface(geometry), (200.3, 120.7)
@@ -251,13 +267,13 @@ def test_noise_above_its_bound_is_found(good: Path) -> None:
 def test_what_is_not_there_is_said_in_its_place(good: Path) -> None:
     session = copy(good, "bare")
     (session / "fit.json").unlink()
-    assert "bssrdf fit" in report_on(session).answers["trusted"]
+    assert "bssrdf fit" in report_on.__wrapped__(session).answers["trusted"]
     for kind in ("sample", "reference"):
         (session / "measured" / f"{kind}.exr").unlink()
-    assert "no HDR image" in report_on(session).answers["slice"]
+    assert "no HDR image" in report_on.__wrapped__(session).answers["slice"]
     shutil.rmtree(session / "measured")
     shutil.rmtree(session / "frames")
-    assert "bssrdf measure" in report_on(session).answers["better"]
+    assert "bssrdf measure" in report_on.__wrapped__(session).answers["better"]
 
 
 def test_what_is_broken_is_refused(good: Path, capsys: pytest.CaptureFixture[str]) -> None:
