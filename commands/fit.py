@@ -77,7 +77,7 @@ def fit(
         raise UsageError(f"--window-mm {window_mm[0]:g} {window_mm[1]:g} must be two radii, the smaller one first")
     target = out and fresh(out, force)
 
-    from bssrdf.commands.fit_files import fit_files, fit_joint_files
+    from bssrdf.batch import fit_files, fit_joint_files
     from bssrdf.fit import RULE, FitOptions, Making
     from bssrdf.report import fit_text
     from bssrdf.session.fit_json import failure_line, fit_line
@@ -119,7 +119,7 @@ def _progress(done: int, total: int) -> None:
 @click.option("--format", "form", type=click.Choice(["md", "csv", "json", "latex"]), default="md", show_default=True)
 def table(inputs: tuple[Path, ...], form: Any) -> None:
     """Print the material table of the fits; with none, the published one checked against its own reflectances."""
-    from bssrdf.commands.fit_files import read_fits, stale
+    from bssrdf.batch import read_fits, stale
     from bssrdf.report import fits_table, published_table
 
     fits = read_fits(inputs)
@@ -134,7 +134,7 @@ def table(inputs: tuple[Path, ...], form: Any) -> None:
 @force_option
 def validate(fit_path: Path, out: Path | None, force: bool) -> None:
     """Simulate the fitted coefficients photon by photon and draw data, dipole and Monte Carlo (the paper's Fig. 6)."""
-    from bssrdf.commands.fit_files import validate_fit
+    from bssrdf.batch import validate_fit
     from bssrdf.report import steps, validation_text
 
     picture = fresh(out, force) if out else (fit_path if fit_path.is_dir() else fit_path.parent) / "validation.png"

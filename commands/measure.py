@@ -46,7 +46,7 @@ def measure(session: Path, **options: Any) -> None:
 @click.argument("inputs", nargs=-1, required=True, type=FOLDER, metavar="SESSION_OR_SLICE...")
 def views(inputs: tuple[Path, ...]) -> None:
     """Compare slices of one sample taken at several view angles."""
-    from bssrdf.commands.fit_files import slice_file
+    from bssrdf.batch import slice_file
     from bssrdf.report import views_text
     from bssrdf.session.slice_csv import read_slice
 

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import math
 import types
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import is_dataclass
+from functools import cache
 from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
 
 T = TypeVar("T")
+_hints: Callable[[Any], dict[str, Any]] = cache(get_type_hints)
 
 
 def to_plain(value: Any) -> Any:
@@ -31,10 +33,6 @@ def from_plain(kind: type[T], value: Any) -> T:
 
 def _key(key: Any) -> str:
     return key if isinstance(key, str) else repr(float(key))
-
-
-def _hints(kind: Any) -> dict[str, Any]:
-    return get_type_hints(kind)
 
 
 def _of(kind: Any, value: Any) -> Any:

@@ -91,7 +91,8 @@ def _light(part: ChannelSlice) -> tuple[float, float]:
 
 
 def _decay(r: Array, flux: Array) -> float:
-    """k of flux ~ e^(−kr); 0 where it does not fall or is not known."""
+    """k of flux ~ e^(−kr), by the line through its logarithm; 0 where it does not fall or is not known."""
     if not np.all(flux > 0):
         return 0.0
-    return max(0.0, float(-np.polyfit(r, np.log(flux), 1)[0]))
+    away = r - r.mean()
+    return max(0.0, -float(away @ np.log(flux)) / float(away @ away))

@@ -87,6 +87,27 @@ def parse_csv(file: Path, content: str, known: Sequence[str], needed: Sequence[s
     return Table(header, [row for _, row in numbered[1:]], [line for line, _ in numbered[1:]])
 
 
+class TextColumns(NamedTuple):
+    """The fields of each column as they stand, and the line of the file that each row stands on."""
+
+    header: list[str]
+    columns: list[Sequence[str]]
+    lines: list[int]
+
+
+def parse_columns(file: Path, content: str, known: Sequence[str], needed: Sequence[str]) -> TextColumns:
+    """`parse_csv` by columns; a plain table of many rows is cut at its commas at once."""
+    lines = [number for number, line in enumerate(content.split("\n"), 1) if line]
+    rows = [line for line in content.split("\n") if line]
+    if '"' in content or not rows or len({row.count(",") for row in rows}) > 1:
+        table = parse_csv(file, content, known, needed)
+        columns: list[Sequence[str]] = list(zip(*table.rows, strict=True))
+        return TextColumns(table.header, columns or [()] * len(table.header), table.lines)
+    header = parse_csv(file, rows[0], known, needed).header
+    fields = ",".join(rows[1:]).split(",") if rows[1:] else []
+    return TextColumns(header, [fields[at :: len(header)] for at in range(len(header))], lines[1:])
+
+
 def _check_commas(file: Path, header: Sequence[str], needed: Sequence[str]) -> None:
     """InputError that names what stands in the place of commas, or of a header."""
     if len(header) == 1:

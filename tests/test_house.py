@@ -72,7 +72,7 @@ assert dict(jax.config.values) == before
 
 def test_every_flag_is_raised_by_the_stage_that_it_names() -> None:
     for stage in get_args(Stage):
-        files = [*(ROOT / stage).glob("*.py"), *(ROOT / "commands").glob(f"{stage}*.py")]
+        files = [*(ROOT / stage).glob("*.py"), *(ROOT / "batch").glob(f"{stage}*.py")]
         code = "".join(file.read_text(encoding="utf-8") for file in files)
         raised = {Flag[name] for name in re.findall(r"\bFlag\.([A-Z_]+)\b", code)}
         assert raised == {flag for flag in Flag if stage in flag.raised_by}
