@@ -141,17 +141,23 @@ def fit_group(
     *,
     compile_it: bool = False,
     model: Light | None = None,
+    begin: Point | None = None,
 ) -> Fitted:
     """Fit jobs of one key, at most BATCH, by one model; with `compile_it` by JAX, which pays for many batches.
 
-    `model` stands in for the named one, where a comparison asks for other weights or another window.
+    `model` stands in for the named one, where a comparison asks for other weights or another window; `begin` for all
+    starts, where a medium next to this was fitted.
     """
     piece = jobs[0].pieces[0]
     if model is None:
         model = dipole(piece.eta) if name == "dipole" else table_of_medium(piece, options.tables, making)
     aside = beside(name, piece.eta, piece.g) if beam_of(piece) == NORMAL else {}
     plan, data = problem_of(jobs, options, model, aside)
-    found, rival = _best(plan, model, data, aside, compile_it=compile_it)
+    if begin is None:
+        found, rival = _best(plan, model, data, aside, compile_it=compile_it)
+    else:
+        found = settle(NUMPY, plan, model, data, begin, aside)
+        rival = Point(*(np.full_like(each, np.nan) for each in begin))
     return Fitted(jobs, options, plan, model, aside, data, found, judge(NUMPY, plan, model, data, found), rival)
 
 

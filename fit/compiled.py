@@ -20,12 +20,13 @@ def settled(plan: Plan, model: Light, data: Problem, aside: Neighbours, rows: in
     """The optimum of each problem from its first start; `rows` that are compiled for, the last problem repeated."""
     import jax
 
-    run = _runner(plan, _Key(model), tuple(sorted(aside)), data.factor_slopes)
+    asked = {each.source for each in plan.shared} & set(aside)
+    run = _runner(plan, _Key(model), tuple(sorted(asked)), data.factor_slopes)
     extra = rows - data.curves[0].r_lo.shape[0]
     arrays = (data.curves, data.totals, data.sds)
     padded = jax.tree.map(lambda x: np.concatenate([x, np.repeat(x[-1:], extra, axis=0)]) if extra else x, arrays)
     with jax.enable_x64(True), jax.numpy_rank_promotion("allow"):
-        found: Solution = jax.tree.map(np.asarray, run(padded, dict(aside)))
+        found: Solution = jax.tree.map(np.asarray, run(padded, {source: aside[source] for source in asked}))
     return jax.tree.map(lambda x: x[: rows - extra] if x.ndim else x, found)
 
 

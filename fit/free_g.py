@@ -9,9 +9,9 @@ from typing import NamedTuple
 import numpy as np
 
 from bssrdf.errors import InputError
-from bssrdf.fit.batch import Job
+from bssrdf.fit.batch import Job, fit_group, groups_of
 from bssrdf.fit.models import Making, tabulated
-from bssrdf.fit.run import SILENT, FitOptions, batches
+from bssrdf.fit.run import SILENT, FitOptions
 from bssrdf.session.records import Slice
 
 GRID = (0.0, 0.35, 0.6, 0.75, 0.8, 0.9)
@@ -30,13 +30,17 @@ def fit_g(piece: Slice, options: FitOptions, *, making: Making = SILENT) -> Free
     """The g whose table fits all channels of the slice best; InputError where no table ships for its η."""
     if not tabulated(piece.eta, GRID[0]):
         raise InputError(f"eta = {piece.eta:g}: no Monte Carlo tables ship for it, so g cannot be fitted; give --g")
-    chi2 = np.array([_cost(replace(piece, g=g), replace(options, model="mc"), making) for g in GRID])
-    return _lowest(GRID, chi2)
-
-
-def _cost(piece: Slice, options: FitOptions, making: Making) -> float:
+    asked = options.of_problem
     jobs = [Job((piece,), channel) for channel in piece.channels]
-    return float(sum(fitted.found.cost.sum() for _, fitted in batches(jobs, options, making)))
+    chi2 = np.zeros(len(GRID))
+    for places, _ in groups_of(jobs, asked):
+        begin = None  # each g begins where the last one ended
+        for at, g in enumerate(GRID):
+            members = [Job((replace(piece, g=g),), jobs[place].channel) for place in places]
+            found = fit_group(members, asked, "mc", making, begin=begin).found
+            chi2[at] += float(found.cost.sum())
+            begin = found.point
+    return _lowest(GRID, chi2)
 
 
 def _lowest(gs: Sequence[float], chi2: np.ndarray) -> FreeG:

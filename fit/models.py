@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from functools import lru_cache
+from collections.abc import Callable, Iterator, Mapping
+from functools import lru_cache, partial
 from typing import Literal, NamedTuple
 
 from bssrdf.errors import InputError
@@ -102,20 +102,39 @@ def _table(eta: float, g: float, making: Making, beam: Incidence = NORMAL) -> Wh
     return table._replace(relative_error=COARSE_ERROR, log_curve_sd=COARSE_FACTOR * table.log_curve_sd)
 
 
+class _Neighbours(Mapping[str, tuple[Light, float]]):
+    """By `eta` and `g`: a model a little aside, and how far; made when it is first asked for, which few fits do."""
+
+    def __init__(self, made: Mapping[str, Callable[[], Light]], steps: Mapping[str, float]) -> None:
+        self._made, self._steps = made, steps
+
+    def __getitem__(self, key: str) -> tuple[Light, float]:
+        return self._made[key](), self._steps[key]
+
+    def __contains__(self, key: object) -> bool:
+        return key in self._made
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._made)
+
+    def __len__(self) -> int:
+        return len(self._made)
+
+
 @lru_cache(maxsize=64)
-def beside(name: Literal["dipole", "mc"], eta: float, g: float | None) -> dict[str, tuple[Light, float]]:
-    """A model a little aside in `eta`, and for the table in `g`, with the step; only what ships."""
+def beside(name: Literal["dipole", "mc"], eta: float, g: float | None) -> Mapping[str, tuple[Light, float]]:
+    """Those of a medium; for the table what ships."""
     if name == "dipole":
-        return {"eta": (dipole(eta + ETA_STEP), ETA_STEP)}
+        return _Neighbours({"eta": partial(dipole, eta + ETA_STEP)}, {"eta": ETA_STEP})
     g = ASSUMED_G if g is None else g
-    found: dict[str, tuple[Light, float]] = {}
+    made: dict[str, Callable[[], Light]] = {}
+    steps: dict[str, float] = {}
     for key, step in (("eta", ETA_STEP), ("g", G_STEP)):
         for signed in (step, -step):
             at = (eta + signed, g) if key == "eta" else (eta, g + signed)
-            if tabulated(*at):
-                found[key] = (_table(*at, Making()), signed)
-                break
-    return found
+            if key not in made and tabulated(*at):
+                made[key], steps[key] = partial(_table, *at, Making()), signed
+    return _Neighbours(made, steps)
 
 
 def tabulated(eta: float, g: float | None) -> bool:
