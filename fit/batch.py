@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 from bssrdf.errors import InputError
 from bssrdf.fit.compiled import FROM, settled
-from bssrdf.fit.errors import Judged, judge
+from bssrdf.fit.errors import SCATTERED, Judged, judge
 from bssrdf.fit.layout import Curves, camera_factor, curves_of, sight_of, total_of
 from bssrdf.fit.models import Making, beam_of, beside, table_of_medium
-from bssrdf.fit.solve import Solution, settle, start, starts_of
+from bssrdf.fit.solve import REST, Solution, optimise, settle, start, starts_of
 from bssrdf.fit.terms import EXIT_MODES, TABLE_MODES, Constraint, Neighbours, Plan, Point, Problem, Sds, Shared, Source
 from bssrdf.session.records import Slice
 from bssrdf.transport import NORMAL, Policy
@@ -31,6 +31,8 @@ DOUBTFUL = 2.0
 """Reduced cost from which on other starts are tried too."""
 DARK_Q = 1.0
 """Likewise: R hardly tells one dark medium from another."""
+SURELY_POOR = 4.0
+"""Standard deviations of χ² from which on a misfit is no chance: errors are taken as larger, others are tried."""
 RIVAL = 4.0
 """Of the cost, in the scatter's own variance: a second optimum this near the best is as good."""
 
@@ -158,7 +160,8 @@ def fit_group(
     else:
         found = settle(NUMPY, plan, model, data, begin, aside)
         rival = Point(*(np.full_like(each, np.nan) for each in begin))
-    return Fitted(jobs, options, plan, model, aside, data, found, judge(NUMPY, plan, model, data, found), rival)
+    found, judged = _eased(plan, model, data, found)
+    return Fitted(jobs, options, plan, model, aside, data, found, judged, rival)
 
 
 def problem_of(jobs: Sequence[Job], options: Options, model: Light, aside: Neighbours) -> tuple[Plan, Problem]:
@@ -271,6 +274,29 @@ def _best(plan: Plan, model: Light, data: Problem, aside: Neighbours, *, compile
             ended = settle(NUMPY, plan, model, picked(data, again), _point(point[again]), aside)
             found, rival = _compared(model, data, found, ended, again, rival)
     return found, _point(rival)
+
+
+def surely_poor(judged: Judged) -> NDArray[np.bool_]:
+    """Rows whose χ² lies beyond chance."""
+    poor: NDArray[np.bool_] = (judged.chi2 - 1) * np.sqrt(judged.n / 2) > SURELY_POOR
+    return poor
+
+
+def _eased(plan: Plan, model: Light, data: Problem, found: Solution) -> tuple[Solution, Judged]:
+    """Where curves surely scatter by more than their errors say, and do not run to one side, they are weighed by that
+    scatter and fitted again: against R and shared errors they counted too much."""
+    judged = judge(NUMPY, plan, model, data, found)
+    scattered = (judged.grown > 1) & (judged.runs_z < SCATTERED)
+    rows = np.flatnonzero(found.converged & scattered & surely_poor(judged))
+    if not rows.size:
+        return found, judged
+    old, those, grown = picked(found, rows), picked(data, rows), judged.grown[rows]
+    weights = old.weights._replace(mass=tuple(mass / grown[:, None] for mass in old.weights.mass))
+    new = optimise(NUMPY, plan, model, those, old.laid, old.point, 10 * REST, relay=False, weights=weights)
+    new = new._replace(stated=old.stated, ease=grown)
+    good = np.flatnonzero(new.converged)
+    found = replaced(found, rows[good], picked(new, good))
+    return found, judge(NUMPY, plan, model, data, found)
 
 
 def _compared(

@@ -7,6 +7,7 @@ sources' shares add up to the whole.
 
 from __future__ import annotations
 
+from functools import reduce
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -19,19 +20,26 @@ from bssrdf.transport.light import Light
 FIFTH, STARTS = 5, 17
 """A misfit that runs through this share of the window is one of shape; the share is laid at so many places."""
 
+SCATTERED = 2.0
+"""Standard deviations by which runs of residuals may fall short and still be scatter: 98 % of it is below."""
+
 
 class Judged(NamedTuple):
     """What is known of each problem beside its optimum."""
 
     sources: dict[str, Any]
-    """(b, 2, 2) by source: covariance of (s, q). `noise` and `total` with the scatter taken as the errors state it."""
+    """(b, 2, 2) by source: covariance of (s, q). They add up to the whole: `noise` is what the errors state, `misfit`
+    what the curves scatter beyond."""
     chi2: Any
-    """(b,), reduced, with shared errors at their best."""
+    """(b,), reduced, by errors as they are stated and with shared ones at their best."""
+    grown: Any
+    """(b,): what variances grow by, χ² where it is known and above 1: those of the curves' own errors where residuals
+    scatter, and all where they run, since a shape that is off puts everything in doubt."""
     n: Any
     """(b,): radii in the window, a faded one in part."""
     total_r: Any
     pull: Any
-    """(b,): R measured less that of the curve alone, in sd; 0 where R is not a datum."""
+    """(b,): R measured less that of the curve alone, in sd, which grow by the misfit; 0 where R is not a datum."""
     runs_z: Any
     """(b,): sd by which runs of one sign fall short of chance."""
     drift: Any
@@ -59,29 +67,38 @@ def judge(e: Engine, plan: Plan, model: Light, data: Problem, found: Solution) -
     used = tuple((window(e, model, c, at.log_sigma) > 0.5) & (m > 0) for c, m in zip(data.curves, by.mass, strict=True))
     n = sum(((c.known != 0).sum(2) * window(e, model, c, at.log_sigma)).sum(1) for c in data.curves)
     p = (plan.constraint != "exact") + 1 + plan.scale_free
-    chi2 = found.cost / xp.maximum(n + (plan.constraint == "soft") * len(plan.totals) - p, 1)
+    in_force = [each * _rescaled(xp, each, mass) for each, mass in zip(w2, by.mass, strict=True)]
+    apart = sum(_within(c.rd, w).sum(1) for c, w in zip(data.curves, in_force, strict=True))
+    chi2 = (found.stated + found.ease * apart) / xp.maximum(n + (plan.constraint == "soft") * len(plan.totals) - p, 1)
+    known = reduce(xp.logical_and, [c.errors_known[:, 0] for c in data.curves])
+    grown = xp.where(known & xp.isfinite(chi2), xp.maximum(chi2, 1.0), 1.0)
 
     sources = _by_prior(plan, answer)
     noise, allowed = 0.0, 0.0
-    for k, (c, x) in enumerate(zip(data.curves, rows, strict=True)):
-        in_force = w2[k] * _rescaled(xp, w2[k], by.mass[k])
+    for c, x, force, mass, seen_k, k in zip(data.curves, rows, in_force, by.mass, looks, range(len(rows)), strict=True):
         variance = xp.where(c.errors_known[..., None], 1 / xp.maximum(c.known, 1e-300) ** 2, 0.0)
-        unknown = xp.where(c.errors_known[..., None], 0.0, in_force * chi2[:, None, None])
-        noise = noise + _gram(xp, x, xp.where(in_force > 0, in_force**2 * variance + unknown, 0.0).sum(2))
-        off = model_sd(e, plan, model, data, at, looks[k][0], k)
-        allowed = allowed + _gram(xp, x, xp.where(c.errors_known, by.mass[k] * off, 0.0) ** 2)
-    sources["noise"] = _seen(xp, answer, noise)
+        unknown = xp.where(c.errors_known[..., None], 0.0, force * chi2[:, None, None])
+        noise = noise + _gram(xp, x, xp.where(force > 0, force**2 * variance + unknown, 0.0).sum(2))
+        off = model_sd(e, plan, model, data, at, seen_k[0], k)
+        allowed = allowed + _gram(xp, x, xp.where(c.errors_known, mass * off, 0.0) ** 2)
+    own = sources["noise"] = _seen(xp, answer, noise)
     if model.name == "mc":
-        sources["table"] = sources.get("table", 0.0) + _seen(xp, answer, allowed)
+        of_table = _seen(xp, answer, allowed)
+        sources["table"] = sources.get("table", 0.0) + of_table
+        own = own + of_table
     total_answer, pull = _by_totals(e, plan, data, found, totals, full.matrix, answer, sources)
+    runs_z = _runs(e, data, laid, looks, w2, found.shared)
+    doubted = xp.where((runs_z < SCATTERED)[:, None, None], own, sum(sources.values()))
+    sources["misfit"] = (grown - 1)[:, None, None] * doubted
     return Judged(
         sources=sources,
         chi2=chi2,
+        grown=grown,
         n=n,
         total_r=seen.total[0][:, 0],
-        pull=pull,
-        runs_z=_runs(e, data, laid, looks, w2, found.shared),
-        drift=_drift(e, laid, looks, by, found.shared, chi2),
+        pull=pull / xp.sqrt(grown / found.ease),
+        runs_z=runs_z,
+        drift=_drift(e, laid, looks, by, found.shared, grown / found.ease),
         answer=tuple(
             xp.matmul(answer, x) * (mass * each[0])[:, None, :]
             for x, mass, each in zip(rows, by.mass, looks, strict=True)
@@ -173,6 +190,13 @@ def _rescaled(xp: Any, w2: Any, mass: Any) -> Any:
     return xp.where(whole > 0, mass / xp.where(whole > 0, whole, 1.0), 0.0)[..., None]
 
 
+def _within(values: Any, w2: Any) -> Any:
+    """Σ w² (value − mean)² over the data of each radius, (b, u)."""
+    mass = w2.sum(2, keepdims=True)
+    mean = (w2 * values).sum(2, keepdims=True) / (mass + (mass == 0))
+    return (w2 * (values - mean) ** 2).sum(2)
+
+
 def _fitted(laid: Any, look: Any, shared: Any, k: int) -> Any:
     return look[0] * (1 + (laid.responses[k] * shared[:, :, None]).sum(1))
 
@@ -195,9 +219,9 @@ def _runs(e: Engine, data: Problem, laid: Any, looks: Any, w2: Any, shared: Any)
     return worst
 
 
-def _drift(e: Engine, laid: Any, looks: Any, by: Any, shared: Any, chi2: Any) -> Any:
+def _drift(e: Engine, laid: Any, looks: Any, by: Any, shared: Any, grown: Any) -> Any:
     """The mean over a fifth of the radii that is largest against the curve, of those beyond 4 of their sd, enlarged by
-    the misfit."""
+    the misfit where the weights are not."""
     xp = e.xp
     largest = xp.zeros(looks[0][0].shape[0])
     for k, each in enumerate(looks):
@@ -210,5 +234,5 @@ def _drift(e: Engine, laid: Any, looks: Any, by: Any, shared: Any, chi2: Any) ->
             within = (rank > first) & (rank <= first + 1 / FIFTH)
             mass = xp.maximum((within * weight).sum(1), 1e-300)
             mean = xp.abs((within * weight * relative).sum(1) / mass)
-            largest = xp.maximum(largest, xp.where(mean * xp.sqrt(mass / xp.maximum(chi2, 1.0)) > 4, mean, 0.0))
+            largest = xp.maximum(largest, xp.where(mean * xp.sqrt(mass / grown) > 4, mean, 0.0))
     return largest

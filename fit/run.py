@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 
 from bssrdf.errors import InputError
-from bssrdf.fit.batch import Fitted, Job, Options, fit_group, groups_of
+from bssrdf.fit.batch import Fitted, Job, Options, fit_group, groups_of, surely_poor
 from bssrdf.fit.intervals import Profile, profile
 from bssrdf.fit.models import (
     ASSUMED_G,
@@ -25,7 +25,7 @@ from bssrdf.fit.models import (
 )
 from bssrdf.fit.neighbours import bias, dipole_on_light, refitted, sensitivities, table_error, to_log
 from bssrdf.fit.terms import Constraint
-from bssrdf.fit.verdict import FEWEST, Extra, channel_fits, covariances, inflation, needs_profile
+from bssrdf.fit.verdict import FEWEST, Extra, channel_fits, covariances, needs_profile
 from bssrdf.session.flags import Flag
 from bssrdf.session.records import ChannelFit, Slice
 from bssrdf.transport import NORMAL, Policy
@@ -35,8 +35,6 @@ from bssrdf.transport.light import Light, WhiteTable, coefficients
 OTHER_G = (0.0, 0.35, 0.6, 0.8, 0.9)
 ETA_AWAY = 0.1
 """Tried where a curve does not fit: does another g or η?"""
-SURELY_POOR = 4.0
-"""Standard deviations of χ² from which on others are tried."""
 MUCH_BETTER = 0.5
 """Of χ²: below this share another g or η is more likely than the one given."""
 
@@ -184,7 +182,7 @@ def _profiles(fitted: Fitted) -> dict[int, Profile]:
         return {}
     part = _subset(fitted, wanted)
     known = np.all([c.errors_known[:, 0] for c in part.data.curves], axis=0)
-    grown = np.where(known, inflation(part), np.maximum(part.judged.chi2, 1e-300))
+    grown = np.where(known, part.judged.grown / part.found.ease, np.maximum(part.judged.chi2, 1e-300))
     found = profile(part.plan, part.model, part.data, part.found, grown)
     return {int(row): Profile(*(each[at : at + 1] for each in found)) for at, row in enumerate(wanted)}
 
@@ -197,8 +195,7 @@ def _slopes(fitted: Fitted) -> list[dict[str, float]]:
 def _others(fitted: Fitted) -> list[tuple[str, ...]]:
     """Flags of rows whose curve does not fit here and far better under another g or η, with other coefficients."""
     raised: list[tuple[str, ...]] = [() for _ in fitted.jobs]
-    excess = (fitted.judged.chi2 - 1) * np.sqrt(fitted.judged.n / 2)
-    poor = np.flatnonzero((excess > SURELY_POOR) & fitted.found.converged)
+    poor = np.flatnonzero(surely_poor(fitted.judged) & fitted.found.converged)
     piece = fitted.jobs[0].pieces[0]
     if not poor.size or fitted.model.name != "mc" or beam_of(piece) != NORMAL:
         return raised

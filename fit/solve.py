@@ -84,8 +84,12 @@ class Solution(NamedTuple):
     shared: Any
     """(b, K): fitted shared errors, in their sd."""
     cost: Any
-    """(b,): the marginal cost."""
+    """(b,): the marginal cost, by the weights in force."""
     converged: Any
+    stated: Any
+    """(b,): the cost at rest by errors as they are stated."""
+    ease: Any
+    """(b,): what the curves' variances were multiplied by since; see `batch`."""
 
 
 class Marginal(NamedTuple):
@@ -225,7 +229,8 @@ def optimise(
     last = e.loop(lambda s: ~s.done & (s.steps < most), step, first, data)
     point, shared = e.chosen(last.damping < 1, (last.trial, last.errors), (last.best, last.here.shared))
     converged = last.done & xp.isfinite(last.here.cost)
-    return Solution(point, last.laid, last.weights, shared, last.here.cost, converged)
+    cost = last.here.cost
+    return Solution(point, last.laid, last.weights, shared, cost, converged, cost, zeros + 1)
 
 
 def marginal(e: Engine, plan: Plan, gaps: Gaps, full: System, columns: tuple[int, ...]) -> Marginal:

@@ -76,16 +76,9 @@ def needs_profile(fitted: Fitted) -> NDArray[np.bool_]:
     return ~(q > PARABOLIC * q_sd)
 
 
-def inflation(fitted: Fitted) -> Floats:
-    """What variances grow by where the data scatter more than their errors say; scatter that is less never shrinks."""
-    known = np.all([c.errors_known[:, 0] for c in fitted.data.curves], axis=0)
-    grown: Floats = np.where(known & np.isfinite(fitted.judged.chi2), np.maximum(fitted.judged.chi2, 1.0), 1.0)
-    return grown
-
-
 def covariances(fitted: Fitted) -> Floats:
-    """(b, 2, 2) of (s, q), all sources and the misfit."""
-    covariance: Floats = sum(fitted.judged.sources.values()) * inflation(fitted)[:, None, None]
+    """(b, 2, 2) of (s, q), all sources."""
+    covariance: Floats = sum(fitted.judged.sources.values())
     return covariance
 
 
@@ -96,9 +89,8 @@ def budgets(fitted: Fitted) -> list[dict[str, dict[str, float]]]:
         NAMES.get(name, name): np.einsum("bij,bjk,bik->bi", turn, each, turn)
         for name, each in fitted.judged.sources.items()
     }
-    grown = inflation(fitted)[:, None]
-    whole = np.maximum(sum(parts.values()), 1e-300) * grown
-    shares = {name: part / whole for name, part in parts.items()} | {"misfit": 1 - 1 / grown + 0 * whole}
+    whole = np.maximum(sum(parts.values()), 1e-300)
+    shares = {name: part / whole for name, part in parts.items()}
     return [
         {
             key: {name: float(share[row, column]) for name, share in shares.items() if share[row, column] > 0}
@@ -239,7 +231,6 @@ def _flags(fitted: Fitted, extra: Extra, row: int, interval: Interval, rel_sd: f
     q, sigma_tp = float(fitted.found.point.q[row, 0]), float(np.exp(fitted.found.point.log_sigma[row, 0]))
     totals = [p.total_r.get(job.channel, NAN) / camera_factor(p) for p in pieces]
     known = _errors_known(fitted, row)
-    grown = float(np.sqrt(inflation(fitted)[row]))
     dipole = fitted.model.name == "dipole"
     own_pull, own_drift = (0.0, 0.0) if extra.bias is None else _allowed(extra.bias, row)
     untested = dipole and not extra.model_error[row]
@@ -272,7 +263,7 @@ def _flags(fitted: Fitted, extra: Extra, row: int, interval: Interval, rel_sd: f
         Flag.SINGLE_SCATTERING: dipole and q > np.sqrt(1.5),
         Flag.SPOT_WIDE: any((p.spot_radius_mm or 0.0) * sigma_tp > 1 for p in pieces),
         Flag.TOTAL_AT_LIMIT: plan.constraint != "none" and any(r >= 1 for r in totals),
-        Flag.TOTAL_INCONSISTENT: abs(float(judged.pull[row])) / grown > MOST_PULL + own_pull,
+        Flag.TOTAL_INCONSISTENT: abs(float(judged.pull[row])) > MOST_PULL + own_pull,
         Flag.TOTAL_UNKNOWN: all(np.isnan(totals)),
         Flag.WINDOW_SHORT: end * max(q, 0.0) * sigma_tp < 1,
     }  # fmt: skip
@@ -295,7 +286,7 @@ def _outliers(fitted: Fitted, row: int) -> bool:
     for k in range(len(fitted.plan.sights)):
         mass, mean = fitted.found.weights.mass[k][row], fitted.found.weights.mean[k][row]
         value = fitted.judged.values[k][row]
-        misses = ((mean - value) * np.sqrt(mass))[mass > 0]
+        misses = ((mean - value) * np.sqrt(mass * fitted.found.ease[row]))[mass > 0]
         if misses.size > NEIGHBOURS:
             about = np.lib.stride_tricks.sliding_window_view(
                 np.pad(misses, NEIGHBOURS // 2, mode="reflect"), NEIGHBOURS
