@@ -10,6 +10,7 @@ from bssrdf import __version__
 from bssrdf.commands.bench import bench, demo
 from bssrdf.commands.calibrate import calibrate
 from bssrdf.commands.console import Group, run
+from bssrdf.commands.curve import curve
 from bssrdf.commands.export import export
 from bssrdf.commands.fit import fit, table, validate
 from bssrdf.commands.measure import measure, views
@@ -23,6 +24,7 @@ COMMANDS = (
     calibrate,
     capture,
     compare,
+    curve,
     demo,
     doctor,
     export,

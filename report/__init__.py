@@ -7,6 +7,11 @@ from bssrdf.door import door
 if TYPE_CHECKING:
     from bssrdf.report.doctor import doctor_text as doctor_text
     from bssrdf.report.doctor import examine as examine
+    from bssrdf.report.forward import curve_csv as curve_csv
+    from bssrdf.report.forward import draw_curve as draw_curve
+    from bssrdf.report.notebook import draw_fit as draw_fit
+    from bssrdf.report.notebook import fit_html as fit_html
+    from bssrdf.report.notebook import write_page as write_page
     from bssrdf.report.page import write_report as write_report
     from bssrdf.report.progress import live as live
     from bssrdf.report.progress import stages as stages

@@ -46,7 +46,11 @@ def write_report(path: Path, out: Path | None = None, *, force: bool = False, pr
     another file only with `force`. InputError where a file is broken.
     """
     evidence = gather(path)
-    target = out or _place(evidence)
+    return write_evidence(evidence, out or _place(evidence), force=force, progress=progress)
+
+
+def write_evidence(evidence: Evidence, target: Path, *, force: bool = False, progress: Progress | None = None) -> Path:
+    """Write the report on what was gathered."""
     if target.exists() and not force and not _is_ours(target):
         raise UsageError(f"{target} is not a report of this command; choose another --out, or replace it with --force")
     text = page(evidence, progress)
@@ -118,7 +122,7 @@ def _content(evidence: Evidence, progress: Progress | None) -> dict[str, Any]:
         "sources": {**dict.fromkeys(_sources(fit), ""), **SOURCES},
         "laid": _laid(evidence, scenes),
         "saturated": _saturated(evidence, scenes),
-        "rows": [_row(name, channel, verdict) for name, channel in (fit.channels.items() if fit else ())],
+        "rows": [coefficient_row(name, channel, verdict) for name, channel in (fit.channels.items() if fit else ())],
         "tiles": [*_session_tiles(evidence, scenes, out, noise)],
         "channel_tiles": {name: {tile.question: tile for tile in each} for name, each in tiles.items()},
         "questions": [{"text": text} for text in dict.fromkeys(t.question for each in tiles.values() for t in each)],
@@ -249,7 +253,8 @@ def _budgets(fit: Fit | None) -> Iterator[dict[str, Any]]:
                 yield {"channel": name, "symbol": symbol, "shares": ordered, "text": text}
 
 
-def _row(name: str, channel: ChannelFit, verdict: Verdict | None) -> dict[str, Any]:
+def coefficient_row(name: str, channel: ChannelFit, verdict: Verdict | None) -> dict[str, Any]:
+    """What a channel's line of the table shows, as text."""
     errors = [f"{100 * channel.model_error[key]:.2g} % in {symbol}" for key, symbol in _SYMBOLS.items()
               if key in channel.model_error]  # fmt: skip
     bound = channel.status == "upper_bound"

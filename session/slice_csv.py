@@ -36,6 +36,11 @@ def read_slice(path: Path, **overrides: Any) -> Slice:
     unit = None if given is None else checked_keys(path, "", {"unit": given}, Columns)["unit"]
     channels = dict(_channels(path, table_text, unit))
     raw |= {key: _over(raw.get(key), value, channels) for key, value in overrides.items() if value is not None}
+    return slice_of(path, channels, raw)
+
+
+def slice_of(path: Path, channels: dict[str, ChannelSlice], raw: Mapping[str, Any]) -> Slice:
+    """The slice of channels and the keys of a header, each checked; `path` stands for it in an InputError."""
     header = checked_keys(path, "", raw, Slice)
     if lacking := missing_keys(HEADER, header):
         lines = toml_table(lacking).rstrip().replace("\n", "`, `# ")
