@@ -8,6 +8,8 @@ if TYPE_CHECKING:
     from bssrdf.calib.beam_radius import knife_edge_radius as knife_edge_radius
     from bssrdf.calib.beam_radius import radius_on_tile as radius_on_tile
     from bssrdf.calib.colour import calibrate_colour as calibrate_colour
+    from bssrdf.calib.colour import may_have_narrow_band as may_have_narrow_band
+    from bssrdf.calib.colour import slice_matrix as slice_matrix
     from bssrdf.calib.counts import pile_up_dn as pile_up_dn
     from bssrdf.calib.counts import plateau_dn as plateau_dn
     from bssrdf.calib.counts import step_dn as step_dn

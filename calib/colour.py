@@ -19,6 +19,10 @@ Array = NDArray[np.float64]
 
 _PATCHES = 24
 _PATCH_HALF_PX = 3
+_SINGULAR = 1e-9
+_DIP = 0.05
+"""A simulated Nikon D5100 under daylight and a white LED sees 0.05 to 0.6 in skin, pale to dark, and meat, where the
+matrix is hardly better than none; less in milk, marble, jade, wax, soap; but more in ketchup, juice, a blue dye too."""
 
 
 @dataclass(frozen=True)
@@ -97,3 +101,32 @@ def fit_matrix(patches: Array) -> ColourCalibration:
         matrix = np.asarray(colour.matrix_colour_correction(scaled, wanted, method="Cheung 2004", terms=3), float)
     miss = scaled @ matrix.T - wanted
     return ColourCalibration(matrix, float(np.sqrt(np.mean(miss**2))))
+
+
+def slice_matrix(matrix: Array, space: str) -> Array:
+    """3×3 from R, G, B over those of a white tile to linear `space` ("lin_rec709", "acescg").
+
+    A chart's matrix takes raw numbers; those over a tile are balanced already. White is white in both, so each column
+    is taken times what white reads in it: rows add up to 1. InputError where the matrix cannot be inverted.
+    """
+    if abs(np.linalg.det(matrix)) < _SINGULAR * np.abs(matrix).max() ** 3:
+        raise InputError("the [colour] matrix has no inverse; run `bssrdf calibrate colour` again")
+    to_rec709 = matrix * np.linalg.solve(matrix, np.ones(3))
+    if space == "lin_rec709":
+        return np.asarray(to_rec709)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # colour-science warns of optional packages
+        import colour
+
+        return np.asarray(colour.matrix_RGB_to_RGB("sRGB", "ACEScg") @ to_rec709, float)
+
+
+def may_have_narrow_band(total_r: Array) -> bool:
+    """Whether total reflectances in R, G, B leave room for an absorption band that a matrix gets wrong.
+
+    Three numbers do not show a band. But where green absorbs more than red and blue lead one to expect, by
+    Kubelka–Munk's ln((1 − R)²/2R), as the bands of blood make it, there is room for one.
+    """
+    r = np.clip(total_r, 1e-6, 1 - 1e-6)
+    red, green, blue = np.log((1 - r) ** 2 / (2 * r))
+    return bool(green - (red + blue) / 2 > _DIP)

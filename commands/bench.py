@@ -8,7 +8,7 @@ from typing import Literal
 
 import click
 
-from bssrdf.commands.console import FOLDER, Command, Group, force_option, fresh, is_quiet
+from bssrdf.commands.console import FILE, FOLDER, Command, Group, force_option, fresh, is_quiet
 from bssrdf.errors import UsageError
 
 OUT = click.option("--out", type=click.Path(path_type=Path), help="Folder for the results as JSON and as a plot.")
@@ -153,6 +153,27 @@ def render(out: Path | None, force: bool, materials: tuple[str, ...], scenes: tu
     with steps(quiet=is_quiet()) as progress:
         results = run_render_bench(out and fresh(out, force), effort=effort, progress=progress)
     click.echo(table(results))
+
+
+@bench.command()
+@OUT
+@force_option
+@click.option(
+    "--python", "pythons", multiple=True, type=FILE, help="Python of an environment with bpy; may be given again."
+)
+@click.option("--material", "materials", multiple=True, help="Only this one; may be given again.")
+@click.option("--quick", is_flag=True, help="Few samples, to see that it works.")
+def export(out: Path | None, force: bool, pythons: tuple[Path, ...], materials: tuple[str, ...], quick: bool) -> None:
+    """Render exported files in Cycles and Mitsuba: total R and a shadow's edge against the measured medium's."""
+    from dataclasses import replace
+
+    from bssrdf.bench.export import QUICK, Effort, run_export_bench, table
+    from bssrdf.report import steps
+
+    effort = replace(QUICK if quick else Effort(), materials=materials)
+    with steps(quiet=is_quiet()) as progress:
+        points, skipped = run_export_bench(out and fresh(out, force), pythons, effort=effort, progress=progress)
+    click.echo(table(points, skipped))
 
 
 @click.command(cls=Command)

@@ -27,8 +27,15 @@ from bssrdf.errors import UsageError
     type=click.FloatRange(min=0, min_open=True),
     help="Relative error of a pixel in images merged elsewhere, instead of their scatter.",
 )
+@click.option(
+    "--space",
+    type=click.Choice(["lin_rec709", "acescg", "camera"]),
+    help="Convert the slice by the matrix of `calibrate colour`, for export to a renderer.",
+)
 def measure(session: Path, **options: Any) -> None:
     """Merge the brackets of SESSION; write HDR images, the slice and the total reflectance into measured/."""
+    if options["hdr_only"] and options["space"]:
+        raise UsageError("--hdr-only makes no slice; leave out --space")
     if options["from_hdr"] and (options["hdr_only"] or options["hdr_rel_sd"]):
         raise UsageError("--from-hdr makes no images; leave out --hdr-only and --hdr-rel-sd")
 

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 from bssrdf.door import door
 
 if TYPE_CHECKING:
+    from bssrdf.export.closure import Closure as Closure
     from bssrdf.export.material import Material as Material
     from bssrdf.export.material import find_materials as find_materials
     from bssrdf.export.run import export_files as export_files

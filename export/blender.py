@@ -8,7 +8,7 @@ from importlib.resources import files
 from typing import Any
 
 from bssrdf.export.bounce_walk import N_ORDERS
-from bssrdf.export.closure import Limits
+from bssrdf.export.closure import Limits, Walk
 from bssrdf.export.inversions import BLENDER, Rule
 from bssrdf.export.material import Material
 from bssrdf.export.solved import Bounded, Setting, closure_residuals, closures, depth_residuals, head
@@ -66,15 +66,34 @@ def _described(
     return said + closure_residuals(bounded), numbers | {"rules": by_rule}
 
 
+def verbatim_text(materials: Sequence[Material], setting: Setting) -> str:
+    """The file with the coefficients as they are, as if no light were reflected inside: too bright, for comparison."""
+    numbers = []
+    for material in materials:
+        by_rule = {
+            rule.version: _numbers(verbatim_walks(material), (None, None, None), rule, setting.unit) for rule in BLENDER
+        }
+        numbers.append({"name": material.name, "kept": setting.keep, "eta": material.eta, "rules": by_rule})
+    return file_text([["coefficients as they are"]] * len(numbers), numbers, setting)
+
+
+def verbatim_walks(material: Material) -> list[Walk]:
+    """Random walks of the coefficients as they are."""
+    return [Walk(medium.sigma_sp / medium.sigma_tp, 1 / medium.sigma_tp) for medium in material.media]
+
+
 def rule_numbers(bounded: Bounded, rule: Rule, unit: Unit) -> dict[str, Any]:
     """Colours and radii of the walks under one rule."""
     first = [closure.first for closure in bounded.closures]
+    return _numbers(first, [closure.second for closure in bounded.closures], rule, unit)
+
+
+def _numbers(first: Sequence[Walk], second: Sequence[Walk | None], rule: Rule, unit: Unit) -> dict[str, Any]:
     numbers: dict[str, Any] = {
         "colour": [rounded(rule.colour(walk.albedo)) for walk in first],
         "radius": lengths(tuple(rule.radius_per_mfp * walk.mfp_mm for walk in first), unit),
         "second": None,
     }
-    second = [closure.second for closure in bounded.closures]
     weights = {walk.weight for walk in second if walk}
     if weights:
         (weight,) = weights

@@ -54,7 +54,7 @@ class Material:
 
 
 def find_materials(
-    given: str, *, channels: Names = CHANNELS, space: str | None = None, untrusted: bool = False
+    given: str, *, channels: Names = ("R", "G", "B"), space: str | None = None, untrusted: bool = False
 ) -> list[Material]:
     """The material of a published name, of a fit.json, of a session, or all those of a folder of them.
 

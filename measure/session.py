@@ -12,6 +12,7 @@ import bssrdf
 from bssrdf.calib import Exposures, Surface
 from bssrdf.errors import InputError
 from bssrdf.measure.bracket import Bracket, bracket_of, camera_of, layout_of, session_response
+from bssrdf.measure.colour_space import in_space
 from bssrdf.measure.frame_checks import warm_dark
 from bssrdf.measure.hdr import Hdr, Progress, flattened, merge
 from bssrdf.measure.image import Image
@@ -25,7 +26,7 @@ from bssrdf.session.atomic import replace_folder, sha256_of
 from bssrdf.session.constancy import check_constant, with_cards
 from bssrdf.session.flags import Flag
 from bssrdf.session.frames_csv import read_frames
-from bssrdf.session.records import Camera, Frame, FrameKind, Session, Slice
+from bssrdf.session.records import Camera, Frame, FrameKind, Session, Slice, Space
 from bssrdf.session.session_toml import UNNAMED
 from bssrdf.session.slice_csv import write_slice
 
@@ -50,6 +51,7 @@ def measure_session(
     glare: bool = False,
     band_mm: float | None = None,
     hdr_rel_sd: float | None = None,
+    space: Space | None = None,
     progress: Progress | None = None,
 ) -> Measured:
     """Measure the session and write its folder `measured/`, replaced as a whole.
@@ -58,7 +60,8 @@ def measure_session(
     wrote are used, and no frame is read; with `radial` the curve comes from the whole image, not from the slice, whose
     full width along the view is `band_mm`; with `glare` an even floor is taken for veiling glare and subtracted;
     `hdr_rel_sd` is the relative error of a pixel in images that were merged elsewhere, which their scatter tells if it
-    is None. InputError where frames or tables are missing or cannot be used.
+    is None; `space` converts the curve by the session's colour matrix. InputError where frames or tables are missing
+    or cannot be used.
     """
     listed = read_frames(session.path, must_exist=not from_hdr)
     if not hdr_only:
@@ -78,6 +81,7 @@ def measure_session(
             shared_errors=_of_reference(listed, merged.provenance["sha256"]),
             provenance={**merged.provenance, **curve.provenance},
         )
+        curve = in_space(curve, session, space) if space else curve
     measured = Measured(merged.images, merged.provenance, curve)
     if from_hdr:
         _write_curve(session.path / "measured", session, images, measured)

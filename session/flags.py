@@ -128,6 +128,16 @@ class Flag(StrEnum):
         "fit",
         "The sample reaches less than 3/σtr from the beam: light leaves by its sides, σa is too high.",
     )
+    NARROW_BAND = (
+        "narrow_band",
+        "measure",
+        "Green is darker than red and blue let expect: blood or a dye? There the colour matrix may be worse than none.",
+    )
+    NEGATIVE_LIGHT = (
+        "negative_light",
+        "measure",
+        "The colour matrix makes light of some radii negative beyond noise: the colour there lies outside the space.",
+    )
     NOISE = ("noise", "fit", "The curve does not determine σs′ to within a factor: nothing was identified.")
     NONLINEAR = (
         "nonlinear",
