@@ -7,6 +7,7 @@ import sys
 import click
 
 from bssrdf import __version__
+from bssrdf.commands.batch import convert
 from bssrdf.commands.bench import bench, demo
 from bssrdf.commands.calibrate import calibrate
 from bssrdf.commands.console import Group, run
@@ -24,6 +25,7 @@ COMMANDS = (
     calibrate,
     capture,
     compare,
+    convert,
     curve,
     demo,
     doctor,

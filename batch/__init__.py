@@ -5,11 +5,17 @@ from typing import TYPE_CHECKING
 from bssrdf.door import door
 
 if TYPE_CHECKING:
+    from bssrdf.batch.arrow import is_parquet as is_parquet
+    from bssrdf.batch.arrow import kind_of_file as kind_of_file
+    from bssrdf.batch.convert import from_parquet as from_parquet
+    from bssrdf.batch.convert import to_parquet as to_parquet
+    from bssrdf.batch.fit_bulk import fit_parquet as fit_parquet
     from bssrdf.batch.fit_steps import fit_files as fit_files
     from bssrdf.batch.fit_steps import fit_joint_files as fit_joint_files
     from bssrdf.batch.fit_steps import read_fits as read_fits
     from bssrdf.batch.fit_steps import slice_file as slice_file
     from bssrdf.batch.fit_steps import stale as stale
     from bssrdf.batch.fit_steps import validate_fit as validate_fit
+    from bssrdf.batch.fits_parquet import read_fits_of as read_fits_of
 else:
     __getattr__, __dir__, __all__ = door(__name__, __file__)

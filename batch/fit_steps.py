@@ -48,7 +48,8 @@ def fit_files(
     read = [_caught(_read_with_g if with_g else _read, path, keys) for path in inputs]
     good = [(path, piece) for path, piece in zip(inputs, read, strict=True) if isinstance(piece, Slice)]
     _doubt(good, options, warn)
-    fitted = dict(zip((path for path, _ in good), _fit_all(good, options, making), strict=True))
+    named = [(str(slice_file(path)), piece) for path, piece in good]
+    fitted = dict(zip((path for path, _ in good), fit_all(named, options, making), strict=True))
     return [
         piece
         if isinstance(piece, BssrdfError)
@@ -73,7 +74,7 @@ def fit_joint_files(
     for path in inputs:
         channels = _with_setting(path, channels)
     sources = [{"path": str(slice_file(path)), "sha256": sha256_of(slice_file(path))} for path in inputs]
-    fit = _fit(inputs[0], pieces[0], channels, _asked(options, keys) | {"joint": sources})
+    fit = _fit(inputs[0], pieces[0], channels, asked(options, keys) | {"joint": sources})
     if out is not None:
         write_fit(out, fit)
     return fit
@@ -137,21 +138,21 @@ def _session(path: Path) -> Session | None:
     return read_session(path) if (path / "session.toml").is_file() else None
 
 
-def _fit_all(
-    pieces: Sequence[tuple[Path, Slice]], options: FitOptions, making: Making
+def fit_all(
+    pieces: Sequence[tuple[str, Slice]], options: FitOptions, making: Making = SILENT
 ) -> Sequence[dict[str, ChannelFit] | BssrdfError]:
-    """All in one batch; where that is refused, one by one, to find whose fault it is."""
+    """Fits of named slices in one batch; where that is refused, one by one, to find whose fault it is."""
     try:
         return fit_slices([piece for _, piece in pieces], options, making=making)
     except BssrdfError:
-        return [_caught(_fit_one, path, piece, options) for path, piece in pieces]
+        return [_caught(_fit_one, name, piece, options) for name, piece in pieces]
 
 
-def _fit_one(path: Path, piece: Slice, options: FitOptions) -> dict[str, ChannelFit]:
+def _fit_one(name: str, piece: Slice, options: FitOptions) -> dict[str, ChannelFit]:
     try:
         return fit_slices([piece], options)[0]
     except InputError as error:
-        raise InputError(f"{slice_file(path)}: {error}") from error
+        raise InputError(f"{name}: {error}") from error
 
 
 def _finish(
@@ -169,7 +170,7 @@ def _finish(
     channels = _with_setting(path, channels)
     if g_fitted:
         channels = {name: replace(channel, flags=(*channel.flags, Flag.G_FITTED)) for name, channel in channels.items()}
-    fit = _fit(path, piece, channels, _asked(options, keys))
+    fit = _fit(path, piece, channels, asked(options, keys))
     target = out or (path / "fit.json" if path.is_dir() else None)
     if target is not None:
         write_fit(target, fit)
@@ -187,15 +188,17 @@ def _with_setting(path: Path, channels: dict[str, ChannelFit]) -> dict[str, Chan
     }
 
 
-def _asked(options: FitOptions, keys: Mapping[str, Any]) -> dict[str, Any]:
+def asked(options: FitOptions, keys: Mapping[str, Any]) -> dict[str, Any]:
+    """What a fit says of its options."""
     return {name: value for name, value in asdict(options).items() if value is not None} | dict(keys)
 
 
-def _fit(path: Path, piece: Slice, channels: dict[str, ChannelFit], options: dict[str, Any]) -> Fit:
+def fit_of(source: str, sha256: str, piece: Slice, channels: dict[str, ChannelFit], options: dict[str, Any]) -> Fit:
+    """The fits of a slice's channels with where they come from."""
     return Fit(
         version=bssrdf.__version__,
-        input_path=str(slice_file(path)),
-        input_sha256=sha256_of(slice_file(path)),
+        input_path=source,
+        input_sha256=sha256,
         options=options,
         material=piece.material,
         eta=piece.eta,
@@ -203,6 +206,10 @@ def _fit(path: Path, piece: Slice, channels: dict[str, ChannelFit], options: dic
         channels=channels,
         about=about(piece),
     )
+
+
+def _fit(path: Path, piece: Slice, channels: dict[str, ChannelFit], options: dict[str, Any]) -> Fit:
+    return fit_of(str(slice_file(path)), sha256_of(slice_file(path)), piece, channels, options)
 
 
 def _caught(call: Callable[..., T], *arguments: Any) -> T | BssrdfError:

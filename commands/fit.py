@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from bssrdf.commands.console import FILE, FLAGGED, FOLDER, Command, force_option, fresh, is_quiet, warn
+from bssrdf.commands.batch import warn_of
+from bssrdf.commands.console import BAD_INPUT, FILE, FLAGGED, FOLDER, Command, force_option, fresh, is_quiet, warn
 from bssrdf.commands.key_options import KeyCommand
 from bssrdf.errors import BssrdfError, UsageError
 
@@ -76,6 +77,10 @@ def fit(
     if window_mm is not None and not 0 <= window_mm[0] < window_mm[1]:
         raise UsageError(f"--window-mm {window_mm[0]:g} {window_mm[1]:g} must be two radii, the smaller one first")
     target = out and fresh(out, force)
+    if any(path.suffix == ".parquet" for path in (*inputs, *([out] if out else []))):
+        bulk = {"joint": joint, "fit-g": fit_g, "json": as_json, "strict": strict}
+        asked = {"model": model, "constraint": constraint, "scale": scale, "window_mm": window_mm}
+        return _fit_bulk(inputs, target, bulk, asked | {"robust": robust, "tables": tables}, keys)
 
     from bssrdf.batch import fit_files, fit_joint_files
     from bssrdf.fit import RULE, FitOptions, Making
@@ -104,6 +109,33 @@ def fit(
         if strict and any(channel.status in ("unidentifiable", "rejected") for channel in outcome.channels.values()):
             code = code or FLAGGED
     click.get_current_context().exit(code)
+
+
+def _fit_bulk(
+    inputs: tuple[Path, ...], out: Path | None, bulk: Mapping[str, bool], options: dict[str, Any], keys: dict[str, Any]
+) -> None:
+    """One Parquet file, or a folder of them, to another."""
+    unfit = next((f"--{name}" for name, given in bulk.items() if given), None)
+    if unfit is not None:
+        raise UsageError(f"{unfit} is for files of one slice; leave it out, or `bssrdf convert` the Parquet file")
+    if len(inputs) != 1 or out is None or out.suffix != ".parquet":
+        raise UsageError("a Parquet file is fitted by itself into another: give one, and --out FITS.parquet")
+
+    from bssrdf.batch import fit_parquet, is_parquet
+    from bssrdf.fit import FitOptions, Making
+    from bssrdf.report import steps
+
+    if not is_parquet(inputs[0]):
+        raise UsageError(f"{inputs[0]} is not a Parquet file; make one of slices by `bssrdf convert`")
+    given = {name: value for name, value in keys.items() if value is not None}
+    with steps(quiet=is_quiet()) as progress:
+        counts = fit_parquet(inputs[0], out, FitOptions(**options), given, making=Making(_announce), progress=progress)
+    said = ", ".join(f"{count} {status}" for status, count in counts.statuses.most_common())
+    failed = f"; {len(counts.failures)} slices failed" if counts.failures else ""
+    click.echo(f"{out}: {said or 'no curve'}{failed}")
+    warn_of(counts.doubts, " whose units look wrong")
+    warn_of(counts.failures, f": see `error` in {out}")
+    click.get_current_context().exit(BAD_INPUT if counts.failures else 0)
 
 
 def _announce(seconds: float) -> None:

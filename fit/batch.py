@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from bssrdf.errors import InputError
 from bssrdf.fit.compiled import FROM, settled
 from bssrdf.fit.errors import SCATTERED, Judged, judge
-from bssrdf.fit.layout import Curves, camera_factor, curves_of, sight_of, total_of
+from bssrdf.fit.layout import Curves, camera_factor, curves_of, nodes_of, sight_of, total_of
 from bssrdf.fit.models import Making, beam_of, beside, table_of_medium
 from bssrdf.fit.solve import REST, Solution, optimise, settle, start, starts_of
 from bssrdf.fit.terms import EXIT_MODES, TABLE_MODES, Constraint, Neighbours, Plan, Point, Problem, Sds, Shared, Source
@@ -78,9 +78,27 @@ def groups_of(jobs: Sequence[Job], options: Options) -> list[tuple[list[int], bo
     groups: dict[Any, list[int]] = {}
     for at, job in enumerate(jobs):
         groups.setdefault(_key(job, options), []).append(at)
-    return [
-        (places[k : k + BATCH], len(places) >= FROM) for places in groups.values() for k in range(0, len(places), BATCH)
-    ]
+    alike = [same for places in groups.values() for same in _of_equal_nodes(jobs, places, options)]
+    return [(places[k : k + BATCH], len(places) >= FROM) for places in alike for k in range(0, len(places), BATCH)]
+
+
+def _of_equal_nodes(jobs: Sequence[Job], places: list[int], options: Options) -> list[list[int]]:
+    """The places by how finely their slices are averaged: a fit must not depend on those beside it."""
+    first = jobs[places[0]]
+    parts = [piece.channels[first.channel] for piece in first.pieces]
+    if all(part.r_lo_mm is None for part in parts) and all(piece.spot_radius_mm is None for piece in first.pieces):
+        return [places]
+    groups: dict[Any, list[int]] = {}
+    for k in range(0, len(places), BATCH):
+        some = places[k : k + BATCH]
+        names = [jobs[at].channel for at in some]
+        by_slice = zip(*(jobs[at].pieces for at in some), strict=True)
+        nodes = [nodes_of(curves_of(pieces, names, options.window_mm)) for pieces in by_slice]
+        blurred = np.any([each.blurred for each in nodes], axis=0)
+        near = [np.where(blurred, each.blur_inner, 0) for each in nodes]
+        for at, *key in zip(some, blurred.tolist(), *(each.inner for each in nodes), *near, strict=True):
+            groups.setdefault(tuple(key), []).append(at)
+    return list(groups.values())
 
 
 def _key(job: Job, options: Options) -> Any:

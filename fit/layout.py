@@ -27,6 +27,8 @@ WIDE = 1.15
 """r_hi/r_lo from which on an annulus is averaged over 12 nodes and not 3; either is good to 1e-6."""
 BLUR_REACH = 8.0
 """In spot radii: within, the spot is averaged over 48 nodes, beyond over 12."""
+NODE_STEP = 16
+"""Radii with many nodes are counted in steps of this, so that slices that hardly differ can share a batch."""
 FEW = 24
 """Radii that a start rests on."""
 STATED_SDS = 2 / 3
@@ -184,35 +186,55 @@ def _window(piece: Slice, window_mm: tuple[float, float] | None) -> tuple[float,
     return max(lo, RADII_FROM_SPOT * (piece.spot_radius_mm or 0.0), band / 2), hi
 
 
-def spots_are_seen(c: Curves) -> bool:
+class Nodes(NamedTuple):
+    """What each row of a batch asks for by itself, (b,) each: see the fields of `Sight`."""
+
+    blurred: NDArray[np.bool_]
+    inner: NDArray[np.int_]
+    blur_inner: NDArray[np.int_]
+
+
+def nodes_of(curves: Curves) -> Nodes:
+    """How finely each row's radii are averaged, whatever the rows beside it."""
+    there = (curves.known != 0).any(axis=2)
+    middle = (curves.r_lo + curves.r_hi) / 2
+    return Nodes(
+        _spot_is_seen(curves),
+        _last(there & (curves.r_hi > WIDE * curves.r_lo)),
+        _last(there & (middle < BLUR_REACH * curves.spot_radius)),
+    )
+
+
+def _spot_is_seen(c: Curves) -> NDArray[np.bool_]:
     """Whether a spot changes the innermost radius used by a share of its error; R_d ~ 1/r² to 1/r³ there."""
     if not c.spot_radius.any():
-        return False
+        return np.zeros(c.spot_radius.shape[0], bool)
     data = np.where(c.known != 0, np.abs(c.rd * c.known), np.nan).reshape(c.rd.shape[0], -1)
     relative = np.where(c.errors_known[:, 0], np.nanmedian(1 / np.maximum(data, 1e-300), axis=1), 0.01)
     innermost = np.maximum((c.r_lo + c.r_hi).min(axis=1) / 2, RADII_FROM_SPOT * c.spot_radius[:, 0])
     wide = np.where(c.spot_radius[:, 0] > 0, 9 / 8 * (c.spot_radius[:, 0] / innermost) ** 2, 0.0)
-    return bool((wide > SPOT_MATTERS * relative).any())
+    return np.asarray(wide > SPOT_MATTERS * relative)
 
 
 def sight_of(piece: Slice, curves: Curves, *, blurred: bool | None = None) -> Sight:
     """What the curves, all of slices seen as `piece` was, have to go through."""
     binned = bool((curves.r_hi > curves.r_lo).any())
-    blurred = spots_are_seen(curves) if blurred is None else blurred
+    nodes, size = nodes_of(curves), curves.r_lo.shape[1]
+    blurred = bool(nodes.blurred.any()) if blurred is None else blurred
     return Sight(
         camera=piece.exit == "fresnel",
         cos_view=math.cos(math.radians(piece.view_angle_deg)),
         binned=binned,
-        inner=_last(curves.r_hi > WIDE * curves.r_lo) if binned else 0,
+        inner=min(int(nodes.inner.max()), size) if binned else 0,
         blurred=blurred,
-        blur_inner=_last((curves.r_lo + curves.r_hi) / 2 < BLUR_REACH * curves.spot_radius) if blurred else 0,
+        blur_inner=min(int(nodes.blur_inner.max()), size) if blurred else 0,
     )
 
 
-def _last(holds: Bools) -> int:
-    """Columns up to the last in which any row holds."""
-    at = np.flatnonzero(holds.any(axis=0))
-    return int(at[-1]) + 1 if at.size else 0
+def _last(holds: Bools) -> NDArray[np.int_]:
+    """Columns up to the last in which a row holds, in steps of NODE_STEP."""
+    last = np.where(holds.any(axis=1), holds.shape[1] - np.argmax(holds[:, ::-1], axis=1), 0)
+    return NODE_STEP * -(-last // NODE_STEP)
 
 
 class _Data(NamedTuple):

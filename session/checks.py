@@ -156,7 +156,7 @@ def matrix3(value: Any) -> tuple[tuple[float, float, float], ...]:
     return rows
 
 
-def checked(file: Path, where: str, raw: Mapping[str, Any], checks: Mapping[str, Check]) -> dict[str, Any]:
+def checked(file: Path | str, where: str, raw: Mapping[str, Any], checks: Mapping[str, Check]) -> dict[str, Any]:
     """The values of one table by key, checked; InputError naming file, key and value."""
     known_keys(file, where, raw, checks)
     values = {}
@@ -168,7 +168,7 @@ def checked(file: Path, where: str, raw: Mapping[str, Any], checks: Mapping[str,
     return values
 
 
-def known_keys(file: Path, where: str, given: Iterable[str], known: Iterable[str]) -> None:
+def known_keys(file: Path | str, where: str, given: Iterable[str], known: Iterable[str]) -> None:
     """InputError for the first given name that is not a known one, with the nearest, or all where none is near."""
     names = list(known)
     for key in given:

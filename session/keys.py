@@ -154,7 +154,7 @@ def missing_keys(keys: Mapping[str, Declared], given: Mapping[str, Any]) -> dict
     }
 
 
-def checked_keys(file: Path, where: str, raw: Mapping[str, Any], record: type) -> dict[str, Any]:
+def checked_keys(file: Path | str, where: str, raw: Mapping[str, Any], record: type) -> dict[str, Any]:
     """The values of one table, each as the record declares it; InputError naming file, key and value."""
     return checked(file, where, raw, {name: declared.check for name, declared in keys_of(record).items()})
 

@@ -35,11 +35,10 @@ def read_slice(path: Path, **overrides: Any) -> Slice:
     given = overrides.pop("unit", None) or written
     unit = None if given is None else checked_keys(path, "", {"unit": given}, Columns)["unit"]
     channels = dict(_channels(path, table_text, unit))
-    raw |= {key: _over(raw.get(key), value, channels) for key, value in overrides.items() if value is not None}
-    return slice_of(path, channels, raw)
+    return slice_of(path, channels, overridden(raw, overrides, channels))
 
 
-def slice_of(path: Path, channels: dict[str, ChannelSlice], raw: Mapping[str, Any]) -> Slice:
+def slice_of(path: Path | str, channels: dict[str, ChannelSlice], raw: Mapping[str, Any]) -> Slice:
     """The slice of channels and the keys of a header, each checked; `path` stands for it in an InputError."""
     header = checked_keys(path, "", raw, Slice)
     if lacking := missing_keys(HEADER, header):
@@ -74,6 +73,11 @@ def about(curve: Slice) -> dict[str, Any]:
     return {
         name: value for name in keys if name not in _ELSEWHERE and (value := getattr(curve, name)) not in (None, {})
     }
+
+
+def overridden(raw: Mapping[str, Any], overrides: Mapping[str, Any], channels: Iterable[str]) -> dict[str, Any]:
+    """The header's keys with those that win over it; None is not given."""
+    return {**raw} | {key: _over(raw.get(key), each, channels) for key, each in overrides.items() if each is not None}
 
 
 def _over(value: Any, override: Any, channels: Iterable[str]) -> Any:
