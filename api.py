@@ -97,7 +97,7 @@ class ApiFit(Fit):
 def measure_session(session: Place | Session, **options: Any) -> Measured:
     """Measure a session's folder and write its measured/, as `bssrdf measure` does, with the options of that name."""
     whole = not options.get("hdr_only", False)
-    known = ("hdr_only", "from_hdr", "radial", "glare", "band_mm", "hdr_rel_sd", "progress")
+    known = ("hdr_only", "from_hdr", "radial", "glare", "band_mm", "hdr_rel_sd", "space", "progress")
     known_keys(Path("measure_session"), "", options, known)
     for name in ("band_mm", "hdr_rel_sd"):
         value = options.get(name)

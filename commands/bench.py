@@ -41,7 +41,7 @@ def hdr(out: Path | None, force: bool) -> None:
     help="Append the ratios to SciPy, with the commit, to this file of JSON lines, and tell which have fallen.",
 )
 def fit(out: Path | None, force: bool, history: Path | None) -> None:
-    """Fit the same curves by every model and constraint, by jaxopt and by SciPy."""
+    """The same curves by every model, by jaxopt and by SciPy."""
     from bssrdf.bench.fit import ratios, run_fit_bench, table
     from bssrdf.bench.history import appended, read_ratios
     from bssrdf.report import steps
@@ -73,7 +73,10 @@ def trials(
     length_sd: float,
     models: tuple[Literal["mc", "dipole", "auto"], ...],
 ) -> None:
-    """Fit the engine's own light of every cell of the table, again and again: errors, bounds, intervals."""
+    """Do errors, bounds and intervals hold on the engine's own light?
+
+    Fits every cell of the table, again and again.
+    """
     from bssrdf.bench.trials import MODELS, Drawn, run_trials, table
     from bssrdf.report import steps
 
@@ -95,7 +98,10 @@ def trials(
 @click.option("--fault", "faults", multiple=True, help="Only this one; may be given again.")
 @click.option("--material", default="marble", show_default=True, help="What lies under the beam.")
 def frames(out: Path | None, force: bool, sessions: int, faults: tuple[str, ...], material: str) -> None:
-    """Measure sessions with faults of lamp, black, darks and labels: are they refused, or do the intervals hold?"""
+    """Sessions with faults: are they refused, or do intervals hold?
+
+    Faults of lamp, black, darks and labels.
+    """
     from bssrdf.bench.frame_faults import FAULTS
     from bssrdf.bench.frames import run_frames_bench, table
     from bssrdf.report import steps
@@ -118,7 +124,7 @@ def frames(out: Path | None, force: bool, sessions: int, faults: tuple[str, ...]
 @click.option("--out", type=click.Path(path_type=Path), default=Path("bench-transport"), show_default=True)
 @force_option
 def transport(out: Path, force: bool) -> None:
-    """Photons a second, time to 1 % error in every bin, and what a table costs beside the dipole."""
+    """Time to 1 % error in every bin; a table beside the dipole."""
     from bssrdf.bench.transport import run
 
     click.echo(json.dumps(run(fresh(out, force)), indent=1))
@@ -128,7 +134,10 @@ def transport(out: Path, force: bool) -> None:
 @click.option("--out", type=click.Path(path_type=Path), default=Path("bench-capture"), show_default=True)
 @click.option("--kills", type=int, default=100, show_default=True, help="Captures ended by SIGKILL.")
 def capture(out: Path, kills: int) -> None:
-    """Every fault of the simulated bench at every step, and captures killed at random moments."""
+    """Every fault of the bench at every step, and captures killed.
+
+    At random moments, on the simulated bench.
+    """
     from bssrdf.bench.capture import run_bench
 
     click.echo(run_bench(fresh(out, force=False), kills=kills))
@@ -141,7 +150,10 @@ def capture(out: Path, kills: int) -> None:
 @click.option("--scene", "scenes", multiple=True, help="Only this one, such as `ball 10`; may be given again.")
 @click.option("--quick", is_flag=True, help="Two scenes of marble, to see that it works.")
 def render(out: Path | None, force: bool, materials: tuple[str, ...], scenes: tuple[str, ...], quick: bool) -> None:
-    """Noise and bias of BRDF, BSSRDF and full Monte Carlo on slabs, balls and a bust of six materials."""
+    """Noise and bias of BRDF, BSSRDF and full Monte Carlo.
+
+    On slabs, balls and a bust of six materials.
+    """
     from dataclasses import replace
 
     from bssrdf.bench.render import QUICK, Effort, run_render_bench
@@ -181,7 +193,10 @@ def export(out: Path | None, force: bool, pythons: tuple[Path, ...], materials: 
 @click.option("--seed", type=int, default=2001, show_default=True, help="Draws the errors of scale and tile.")
 @force_option
 def demo(out: Path, seed: int, force: bool) -> None:
-    """Make sessions on the simulated bench, measure and fit them, and print recovered against published values."""
+    """Simulate, measure and fit twelve materials; compare with print.
+
+    Each is a session as a camera makes it; the values found stand beside the published ones.
+    """
     from bssrdf.bench.demo import run_demo
     from bssrdf.report import stages
 

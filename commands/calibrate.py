@@ -19,7 +19,10 @@ FORCE = click.option("--force", is_flag=True, help="Replace a table that the fil
 
 @click.group(cls=Group)
 def calibrate() -> None:
-    """Measure camera, geometry, spot or colour; write a table into calibration.toml, beside those that it holds."""
+    """Measure camera, geometry, spot or colour.
+
+    A table goes into calibration.toml, beside those that it holds.
+    """
 
 
 @calibrate.command()
@@ -27,7 +30,7 @@ def calibrate() -> None:
 @OUT
 @FORCE
 def camera(session: Path, out: Path, force: bool) -> None:
-    """Gain, read noise and saturation from the brackets and darks of SESSION."""
+    """Gain, read noise and saturation from the frames of SESSION."""
     from bssrdf.measure import calibrate_camera
     from bssrdf.report import steps
     from bssrdf.session.session_toml import read_session
@@ -66,7 +69,10 @@ def geometry(
     out: Path,
     force: bool,
 ) -> None:
-    """Pixels to mm and lens distortion from IMAGES of a target on the sample's plane; the first one gives the map."""
+    """Pixels to mm and lens distortion from IMAGES of a target.
+
+    It lies on the sample's plane; the first image gives the map.
+    """
     from bssrdf.calib import Target, calibrate_geometry
 
     target = Target(columns, rows, pitch_mm, kind=kind, dictionary=dictionary)
@@ -87,7 +93,10 @@ def geometry(
 @OUT
 @FORCE
 def colour(image: Path, layout: str | None, black: float | None, out: Path, force: bool) -> None:
-    """Camera RGB to linear sRGB from an IMAGE of a 24-patch chart, for `measure --space`."""
+    """Camera RGB to linear sRGB from an IMAGE of a colour chart.
+
+    Of 24 patches; for `measure --space`.
+    """
     from bssrdf.calib import calibrate_colour
     from bssrdf.session.records import Camera
 
@@ -113,7 +122,9 @@ def spot(
     out: Path,
     force: bool,
 ) -> None:
-    """The beam's 1/e² radius from an IMAGE of its spot on a thin opaque target, or from a knife edge.
+    """The beam's 1/e² radius from an IMAGE of its spot.
+
+    On a thin opaque target, or from a knife edge.
 
     A knife edge is a CSV table of position_mm, light.
     """

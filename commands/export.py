@@ -52,7 +52,10 @@ def export(
     out: Path,
     force: bool,
 ) -> None:
-    """Write a fit, a folder of fits, or a published material, for a renderer."""
+    """Write fits or a published material for a renderer.
+
+    A fit, a folder of fits, or the name of a material.
+    """
     channels = tuple(name.strip() for name in rgb.split(","))
     if len(channels) != 3 or not all(channels):
         raise UsageError(f"--rgb {rgb}: give three channels, such as --rgb 633nm,532nm,473nm")

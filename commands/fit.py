@@ -69,7 +69,10 @@ def fit(
     force: bool,
     **keys: Any,
 ) -> None:
-    """Fit σa and σs′ to each slice; a session's fit is written to its fit.json."""
+    """Fit σa and σs′ to each slice.
+
+    A session's fit is written to its fit.json.
+    """
     if out is not None and len(inputs) > 1 and not joint:
         raise UsageError(f"--out takes one input, not {len(inputs)}; fit them one by one or --joint, or use --json")
     if joint and fit_g:
@@ -150,7 +153,10 @@ def _progress(done: int, total: int) -> None:
 @click.argument("inputs", nargs=-1, type=FOLDER, metavar="[FIT_OR_SESSION]...")
 @click.option("--format", "form", type=click.Choice(["md", "csv", "json", "latex"]), default="md", show_default=True)
 def table(inputs: tuple[Path, ...], form: Any) -> None:
-    """Print the material table of the fits; with none, the published one checked against its own reflectances."""
+    """Print the material table of fits, or the published one.
+
+    Without a fit the published one is checked against its own reflectances.
+    """
     from bssrdf.batch import read_fits, stale
     from bssrdf.report import fits_table, published_table
 
@@ -165,7 +171,10 @@ def table(inputs: tuple[Path, ...], form: Any) -> None:
 @click.option("--out", type=FILE, help="Picture to write (default: validation.png beside the fit).")
 @force_option
 def validate(fit_path: Path, out: Path | None, force: bool) -> None:
-    """Simulate the fitted coefficients photon by photon and draw data, dipole and Monte Carlo (the paper's Fig. 6)."""
+    """Simulate the fitted coefficients and draw them over the data.
+
+    Photon by photon; data, dipole and Monte Carlo as in the paper's Fig. 6.
+    """
     from bssrdf.batch import validate_fit
     from bssrdf.report import steps, validation_text
 

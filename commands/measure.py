@@ -33,7 +33,10 @@ from bssrdf.errors import UsageError
     help="Convert the slice by the matrix of `calibrate colour`, for export to a renderer.",
 )
 def measure(session: Path, **options: Any) -> None:
-    """Merge the brackets of SESSION; write HDR images, the slice and the total reflectance into measured/."""
+    """Merge the brackets of SESSION; write images, slice and R.
+
+    HDR images, the slice with the total reflectance, and pictures of both go into measured/.
+    """
     if options["hdr_only"] and options["space"]:
         raise UsageError("--hdr-only makes no slice; leave out --space")
     if options["from_hdr"] and (options["hdr_only"] or options["hdr_rel_sd"]):

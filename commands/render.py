@@ -58,7 +58,10 @@ def _scene_options(command: Decorated) -> Decorated:
 def render(
     scene: str, model: str, terms: str | None, explain: bool, out: Path | None, samples: int, seed: int, **given: Any
 ) -> None:
-    """Render SCENE: slab, block, bust, milk, face, texture, or a Mitsuba .xml file."""
+    """Render SCENE with the materials you measured.
+
+    SCENE is slab, block, bust, milk, face, texture, or a Mitsuba .xml file.
+    """
     from bssrdf.render import render as render_picture
     from bssrdf.render import write_pictures
     from bssrdf.report import steps
@@ -85,7 +88,10 @@ def render(
 @click.option("--out", type=FILE, metavar="FOLDER", help="Folder for the pictures (default: SCENE-compare).")
 @_scene_options
 def compare(scene: str, out: Path | None, samples: int, mc_samples: int | None, seed: int, **given: Any) -> None:
-    """Render SCENE by brdf, bssrdf and mc: pictures side by side, their difference, errors and times."""
+    """Render SCENE by brdf, bssrdf and mc, side by side.
+
+    Pictures, their difference, errors and times.
+    """
     from bssrdf.render import compare_models, mc_refusal, scores_text, write_comparison
     from bssrdf.report import steps
     from bssrdf.session.atomic import replace_folder
@@ -109,7 +115,10 @@ def compare(scene: str, out: Path | None, samples: int, mc_samples: int | None, 
 
 @click.command(cls=Command)
 def doctor() -> None:
-    """What is installed and usable: libraries, libLLVM, GPU, serial ports and cameras."""
+    """What is installed and usable.
+
+    Libraries, libLLVM, GPU, serial ports and cameras.
+    """
     from bssrdf.report import doctor_text, examine, stages
 
     with stages("looking", quiet=is_quiet()):

@@ -13,12 +13,15 @@ RIG_FILE = click.option("--rig", type=FILE, help="Bench description (default: ./
 
 @click.group(cls=Group)
 def rig() -> None:
-    """What is connected, how exact its pulses are, and the panic button."""
+    """What is connected, its pulses, and the panic button."""
 
 
 @rig.command("list")
 def rig_list() -> None:
-    """Serial ports and cameras that are connected; a board is reset by asking, and says whether it is a controller."""
+    """Serial ports and cameras that are connected.
+
+    A board is reset by asking, and says whether it is a controller.
+    """
     from bssrdf.rig import commands
 
     click.echo("\n".join(commands.rig_list(listen=True)))
@@ -37,7 +40,10 @@ def rig_status(rig: Path | None) -> None:
 @RIG_FILE
 @click.option("--set-clock", is_flag=True, help="Measure the controller's clock for a minute and keep its error there.")
 def rig_test(rig: Path | None, set_clock: bool) -> None:
-    """Open and close the project's controller for known times and show what it read back; the beam is on meanwhile."""
+    """Check the pulses of the project's controller; the beam is on.
+
+    It opens and closes for known times, and what it read back is shown.
+    """
     from bssrdf.rig import commands
 
     for line in commands.rig_test(rig, set_clock=set_clock):
@@ -47,7 +53,10 @@ def rig_test(rig: Path | None, set_clock: bool) -> None:
 @rig.command("close")
 @RIG_FILE
 def rig_close(rig: Path | None) -> None:
-    """Close the shutter and switch the beam off, even while another program holds the ports."""
+    """Close the shutter and switch the beam off.
+
+    Even while another program holds the ports.
+    """
     from bssrdf.rig import commands
 
     click.echo("\n".join(commands.rig_close(rig)))

@@ -58,7 +58,10 @@ def ingest(
     force: bool,
     **camera: Any,
 ) -> None:
-    """Copy the RAW, TIFF or other frames of FOLDER into a session; exposures from metadata or from file names."""
+    """Copy the frames of FOLDER into a session.
+
+    RAW, TIFF or others; exposures come from metadata or from file names.
+    """
     from bssrdf.session.ingest import ingest_folder
 
     frames = ingest_folder(

@@ -9,11 +9,24 @@ import math
 from collections.abc import Sequence
 from typing import Any, Literal, NamedTuple
 
+from bssrdf.report.text import with_error, wrapped
 from bssrdf.session.records import ChannelFit, Fit
 from bssrdf.transport import load_materials, table_check, table_source
 
 Format = Literal["md", "csv", "json", "latex"]
 Row = dict[str, Any]
+_SHORT = {
+    "channel": "ch",
+    "sigma_sp_per_mm": "σs′, 1/mm",
+    "sigma_a_per_mm": "σa, 1/mm",
+    "r_published": "R publ.",
+    "r_computed": "R comp.",
+    "difference": "diff.",
+}
+"""Heads of columns for a terminal."""
+_NAME = 14
+"""Signs of a material's name that a terminal's table has room for."""
+_Z95 = 1.96
 _LATEX = {sign: f"\\{sign}" for sign in "_%&#${}"} | {"\\": r"\textbackslash{}", "~": r"\textasciitilde{}"}
 
 
@@ -35,7 +48,8 @@ def published_table(form: Format) -> str:
                 "difference": round(cell.difference, 4),
             }
         )
-    return format_rows(rows, form, note=table_source())
+    shown = [{_SHORT.get(key, key): value for key, value in row.items()} for row in rows] if form == "md" else rows
+    return format_rows(shown, form, note=table_source())
 
 
 def fits_table(fits: Sequence[Fit], form: Format) -> str:
@@ -44,7 +58,77 @@ def fits_table(fits: Sequence[Fit], form: Format) -> str:
     for fit in fits:
         for name, channel in fit.channels.items():
             groups.setdefault((fit.material or fit.input_path, name, fit.eta, fit.g), []).append(channel)
-    return format_rows([_fitted_row(*key, channels) for key, channels in groups.items()], form)
+    rows = [_fitted_row(*key, channels) for key, channels in groups.items()]
+    if form == "md":
+        return _for_a_terminal(rows, list(groups.values()))
+    return _booktabs(rows, list(groups.values())) if form == "latex" else format_rows(rows, form)
+
+
+def _for_a_terminal(rows: Sequence[Row], groups: Sequence[Sequence[ChannelFit]]) -> str:
+    """Coefficients with their errors, and under the table what a number cannot say."""
+    cells: list[Row] = []
+    notes = []
+    for row, channels in zip(rows, groups, strict=True):
+        stated = row["sigma_sp_per_mm"] is not None
+        cells.append(
+            {
+                "material": row["material"] if len(row["material"]) <= _NAME else "…" + row["material"][1 - _NAME :],
+                "ch": row["channel"],
+                "σs′, 1/mm": _with_sd(row, "sigma_sp") if stated else row["status"],
+                "σa, 1/mm": _bound(channels) or _with_sd(row, "sigma_a"),
+                "R": row["r"],
+            }
+        )
+        told = [f"η {row['eta']:g}", *([] if row["g"] is None else [f"g {row['g']:g}"]), row["model"], row["status"]]
+        told += [f"{row['n']} repeats, errors × {row['inflation_sigma_a']}"] if row["n"] > 1 else []
+        told += [row["flags"]] if row["flags"] else []
+        notes.append(f"{row['material']} {row['channel']}: {', '.join(told)}")
+    return f"{format_rows(cells, 'md')}\n\n{wrapped(notes)}"
+
+
+def _bound(channels: Sequence[ChannelFit]) -> str | None:
+    """The upper bound of σa where the only fit gives no more than that."""
+    bound = len(channels) == 1 and channels[0].status == "upper_bound"
+    return f"< {channels[0].sigma_a_interval95_per_mm[1]:.2g}" if bound else None
+
+
+def _with_sd(row: Row, key: str) -> str | None:
+    value, sd = row[f"{key}_per_mm"], row[f"{key}_sd_per_mm"]
+    return None if value is None else with_error(value, math.nan if sd is None else sd)
+
+
+def _booktabs(rows: Sequence[Row], groups: Sequence[Sequence[ChannelFit]]) -> str:
+    """For a paper: ± one standard deviation and the 95 % interval of each coefficient; needs the package booktabs."""
+    lines = [
+        r"\begin{tabular}{llcccccl}",
+        r"\toprule",
+        r"Material & & $\sigma_s'$ [1/mm] & 95\,\% & $\sigma_a$ [1/mm] & 95\,\% & $R$ & Status \\",
+        r"\midrule",
+    ]
+    for row, channels in zip(rows, groups, strict=True):
+        cells = [_latex(row["material"]), _latex(row["channel"])]
+        for key in ("sigma_sp", "sigma_a"):
+            value = (_bound(channels) if key == "sigma_a" else None) or _with_sd(row, key)
+            cells += [
+                "--" if value is None else f"${value.replace('±', chr(92) + 'pm')}$",
+                _interval(row, key, channels),
+            ]
+        cells += ["--" if row["r"] is None else f"{row['r']:.3f}", _latex(row["status"].replace("_", " "))]
+        lines.append(" & ".join(cells) + r" \\")
+    return "\n".join([*lines, r"\bottomrule", r"\end{tabular}"])
+
+
+def _interval(row: Row, key: str, channels: Sequence[ChannelFit]) -> str:
+    """A single fit's own interval; of repeats ± 1.96 sd of their mean."""
+    value, sd = row[f"{key}_per_mm"], row[f"{key}_sd_per_mm"]
+    ends = getattr(channels[0], f"{key}_interval95_per_mm")
+    if len(channels) > 1 and value is not None and sd is not None:
+        ends = (value - _Z95 * sd, value + _Z95 * sd)
+    return (
+        "--"
+        if not any(map(math.isfinite, ends))
+        else "--".join(f"{end:.4g}" if math.isfinite(end) else r"$\infty$" for end in ends)
+    )
 
 
 def _fitted_row(material: str, name: str, eta: float, g: float | None, channels: Sequence[ChannelFit]) -> Row:
@@ -83,13 +167,21 @@ def format_rows(rows: Sequence[Row], form: Format, note: str = "") -> str:
         return text.getvalue().rstrip("\n")
     if form == "latex":
         body = [" & ".join(_latex(cell) for cell in line) + r" \\" for line in [head, *cells]]
-        return "\n".join([rf"\begin{{tabular}}{{{'l' * len(head)}}}", body[0], r"\hline", *body[1:], r"\end{tabular}"])
+        rules = [
+            rf"\begin{{tabular}}{{{'l' * len(head)}}}",
+            r"\toprule",
+            body[0],
+            r"\midrule",
+            *body[1:],
+            r"\bottomrule",
+        ]
+        return "\n".join([*rules, r"\end{tabular}"])
     cells = [[cell.replace("|", r"\|") for cell in line] for line in cells]
     widths = [max(len(line[i]) for line in [head, *cells]) for i in range(len(head))]
     lines = [" | ".join(map(str.ljust, line, widths)) for line in [head, *cells]]
     rule = "|".join("-" * (width + 2) for width in widths)
     table = "\n".join([f"| {lines[0]} |", f"|{rule}|", *(f"| {line} |" for line in lines[1:])])
-    return f"{table}\n\n{note}" if note else table
+    return f"{table}\n\n{wrapped([note], indent='')}" if note else table
 
 
 def _digits(value: float, digits: int = 4) -> float | None:

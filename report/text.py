@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import textwrap
+from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any
 
 from bssrdf.session.flags import meaning_of
@@ -12,16 +14,35 @@ if TYPE_CHECKING:
     from bssrdf.measure import Measured
 
 
+WIDTH = 80
+"""Columns of a terminal that has not been made wider."""
+
+
+def wrapped(lines: Iterable[str], indent: str = "    ") -> str:
+    """The lines, those that are too long for a terminal broken between words."""
+    return "\n".join(
+        part
+        for line in lines
+        for part in textwrap.wrap(
+            line, WIDTH, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False, drop_whitespace=True
+        )
+        or [line]
+    )
+
+
 def fit_text(fit: Fit) -> str:
-    """One line per channel, then each flag once with what it means."""
+    """Two lines per channel, then each flag once with what it means."""
     head = f"{fit.material or fit.input_path}  (η {fit.eta:g}{'' if fit.g is None else f', g {fit.g:g}'})"
     told = [f"  {key} {_told(value)}" for key, value in fit.about.items()]
-    lines = [head, *told, *(f"  {name:<6} {_channel(channel)}" for name, channel in fit.channels.items())]
+    lines = [head, *told]
+    for name, channel in fit.channels.items():
+        first, *more = _channel(channel)
+        lines += [f"  {name:<6} {first}", *(f"  {'':<6} {line}" for line in more)]
     raised = {flag: None for channel in fit.channels.values() for flag in channel.flags}
     for flag in raised:
         names = [name for name, channel in fit.channels.items() if flag in channel.flags]
         lines.append(f"  {', '.join(names)}: {flag}: {meaning_of(flag)}")
-    return "\n".join(lines)
+    return wrapped(lines)
 
 
 def _told(value: Any) -> str:
@@ -31,10 +52,11 @@ def _told(value: Any) -> str:
     return f"{value:g}" if isinstance(value, float) else str(value)
 
 
-def _channel(channel: ChannelFit) -> str:
+def _channel(channel: ChannelFit) -> list[str]:
+    """The coefficients and the reflectance that they make; then what they rest on."""
     if channel.status in ("rejected", "unidentifiable", "failed"):
         chi2 = "" if math.isnan(channel.chi2_reduced) else f", χ² {channel.chi2_reduced:.2f}"
-        return f"{channel.status}: no number is stated ({channel.model}, {channel.n} radii{chi2})"
+        return [f"{channel.status}: no number is stated ({channel.model}, {channel.n} radii{chi2})"]
     sigma_sp = f"σs′ {with_error(channel.sigma_sp_per_mm, channel.sigma_sp_sd_per_mm)}/mm"
     if math.isnan(channel.sigma_a_per_mm):
         sigma_a = "σa –"
@@ -42,10 +64,12 @@ def _channel(channel: ChannelFit) -> str:
         sigma_a = f"σa < {channel.sigma_a_interval95_per_mm[1]:.2g}/mm (95 %)"
     else:
         sigma_a = f"σa {with_error(channel.sigma_a_per_mm, channel.sigma_a_sd_per_mm)}/mm"
-    chi2 = "" if math.isnan(channel.chi2_reduced) else f"  χ² {channel.chi2_reduced:.2f}"
+    chi2 = "" if math.isnan(channel.chi2_reduced) else f", χ² {channel.chi2_reduced:.2f}"
     lo, hi = channel.window_mm
-    window = f"{lo:.2g}–{hi:.3g} mm"
-    return f"{sigma_sp}  {sigma_a}  R {channel.total_r_model:.3f}  {window}{chi2}  [{_model(channel)}]"
+    return [
+        f"{sigma_sp}  {sigma_a}  reflectance {channel.total_r_model:.3f}",
+        f"{lo:.2g}–{hi:.3g} mm{chi2}, {_model(channel)}",
+    ]
 
 
 def _model(channel: ChannelFit) -> str:
@@ -70,10 +94,10 @@ def measured_text(measured: Measured) -> str:
     lines = [f"merged {kind}: {' × '.join(map(str, hdr.radiance.shape))}" for kind, hdr in measured.images.items()]
     if measured.slice is not None:
         for name, channel in measured.slice.channels.items():
-            total = "no R, saturated"
+            total = "no total reflectance, saturated"
             if name in measured.slice.total_r:
                 sd = measured.slice.total_r_sd[name]
-                total = f"R {measured.slice.total_r[name]:.4f} ± {sd:.4f} as the camera saw it"
+                total = f"reflectance {measured.slice.total_r[name]:.4f} ± {sd:.4f} as the camera saw it"
             reach = f"{channel.r_mm[0]:.2g}–{channel.r_mm[-1]:.3g} mm"
             lines.append(f"{name}: {total}, {len(channel.r_mm)} radii, {reach}")
         found = measured.provenance.get("found", {})
@@ -84,7 +108,7 @@ def measured_text(measured: Measured) -> str:
                 f"{angle} would make circles of them"
             )
         lines += [f"{flag}: {meaning_of(flag)}{_value(found.get(flag))}" for flag in measured.slice.flags]
-    return "\n".join(lines)
+    return wrapped(lines)
 
 
 def _value(found: str | None) -> str:

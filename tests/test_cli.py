@@ -261,3 +261,32 @@ def test_every_key_of_a_slice_is_an_option_of_fit() -> None:
     command = cli.commands["fit"]
     options = {parameter.name for parameter in command.get_params(click.Context(command))}
     assert HEADER.keys() - {"flags", "provenance"} <= options
+
+
+def commands_of(group: click.Group, path: tuple[str, ...] = ()) -> list[tuple[tuple[str, ...], click.Group]]:
+    """Every group, with the words that lead to it."""
+    found = [(path, group)]
+    for name, command in group.commands.items():
+        if isinstance(command, click.Group):
+            found += commands_of(command, (*path, name))
+    return found
+
+
+def test_help_stays_within_80_columns_and_every_summary_is_whole(capsys: pytest.CaptureFixture[str]) -> None:
+    for path, group in commands_of(cli):
+        assert run(cli, [*path, "--help"]) == 0
+        listed = capsys.readouterr().out
+        assert max(map(len, listed.splitlines())) <= 80
+        assert "..." not in listed.split("Commands:")[1], path
+        for name in group.commands:
+            assert run(cli, [*path, name, "--help"]) == 0
+            assert max(map(len, capsys.readouterr().out.splitlines())) <= 80, (*path, name)
+
+
+def test_results_stay_within_80_columns(good: Path, short: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    fits = [good.with_suffix(".json"), short.with_suffix(".json")]
+    for slice_, fit in zip((good, short), fits, strict=True):
+        assert bssrdf("fit", slice_, "--model", "dipole", "--material", "Skin of an apple", "--out", fit) == 0
+    assert bssrdf("table", *fits) == 0
+    assert bssrdf("table") == 0
+    assert max(map(len, capsys.readouterr().out.splitlines())) <= 80
