@@ -14,9 +14,11 @@ if TYPE_CHECKING:
     from bssrdf.calib.counts import plateau_dn as plateau_dn
     from bssrdf.calib.counts import step_dn as step_dn
     from bssrdf.calib.exposures import Comparison as Comparison
+    from bssrdf.calib.exposures import LocalRatios as LocalRatios
     from bssrdf.calib.exposures import comparable as comparable
     from bssrdf.calib.exposures import compared as compared
     from bssrdf.calib.exposures import least_signal as least_signal
+    from bssrdf.calib.exposures import local_log_ratios as local_log_ratios
     from bssrdf.calib.exposures import rough_log_ratio as rough_log_ratio
     from bssrdf.calib.exposures import signal_weight as signal_weight
     from bssrdf.calib.frame_model import Exposed as Exposed

@@ -28,10 +28,17 @@ _CONTINUOUS = 0.5
 """Different values to samples from which data have no step that could be seen."""
 _ROUNDING = 1e-6
 """Differences of float values below this share of the largest are rounding of the file."""
+_OFTEN = 1e-4
+"""Share of the samples at a value that is one of the camera's steps,"""
+_SMALL = 10
+"""and the percentile of the gaps between such values: light may leave some of them out."""
 
 
 def pile_up_dn(values: NDArray[Any], step_dn: float, black_dn: float) -> float | None:
     """The lower end of the pile-up that ends a histogram of one colour's samples, None where there is none."""
+    values = values[np.isfinite(values)] if values.dtype.kind == "f" else values
+    if not values.size:
+        return None
     top = float(values.max())
     high = values[values > black_dn + 0.5 * (top - black_dn)].astype(np.float64)
     below_stray = high.size - 1 - int(_STRAY * values.size)
@@ -66,15 +73,17 @@ def plateau_dn(
 
 
 def step_dn(values: NDArray[Any]) -> float:
-    """Step [DN] of a frame's values; 0 where there is none, infinite where a frame of one value does not tell."""
+    """Step [DN] of a frame's values; 0 where there is none, infinite where a frame of one value does not tell.
+
+    By the gaps between values that occur often: a few, of pixels that were interpolated, may lie between the steps, and
+    the steps of data that were scaled to a container's range differ by one.
+    """
     sample = values.reshape(-1)
     sample = sample[:: max(1, sample.size // _MOST_SAMPLES)]
-    levels = np.unique(sample)
-    if np.issubdtype(levels.dtype, np.integer):
-        gaps = np.diff(levels.astype(np.int64))
-        return float(np.gcd.reduce(gaps)) if gaps.size else np.inf
-    levels = levels[np.isfinite(levels)].astype(float)
-    if levels.size > _CONTINUOUS * sample.size:
+    levels, counts = np.unique(sample[np.isfinite(sample)], return_counts=True)
+    if levels.dtype.kind == "f" and levels.size > _CONTINUOUS * sample.size:
         return 0.0
-    gaps = np.diff(levels)
-    return float(gaps[gaps > _ROUNDING * np.abs(levels).max()].min(initial=np.inf))
+    often = levels[counts > max(1.0, _OFTEN * sample.size)]
+    gaps = np.diff(often if often.size > 1 else levels).astype(float)
+    gaps = gaps[gaps > _ROUNDING * float(np.abs(levels).max(initial=0))] if levels.dtype.kind == "f" else gaps
+    return float(np.percentile(gaps, _SMALL, method="lower")) if gaps.size else np.inf

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -17,6 +18,12 @@ _LEAST_SD = 20.0
 _MOST_SHARE = 0.9
 _ROUGHLY = 4.0
 """So many times clear of noise some DN of black change a ratio by less than a blunder does."""
+_AROUND, _APART = 5, 2
+"""Pixels of a colour over which light is compared from place to place, and from place to place."""
+_DITHERED = 3.0
+"""A mean signal of so many noises and steps is not lost by rounding,"""
+_BLACK_LOST = 10
+"""nor one of that many times as much by a camera that cuts off at black."""
 _BINS = 8
 """Levels of brightness by which a bend and an offset are told from each other and from the ratio."""
 _PER_BIN, _LEAST_PIXELS = 100, 8
@@ -77,6 +84,34 @@ def rough_log_ratio(
     light = float(shorter[chosen].sum(dtype=float)), float(longer[chosen].sum(dtype=float))
     noise = float(np.sqrt(2 * sensor.read_var_dn() * np.count_nonzero(chosen)))
     return float(np.log(light[1] / light[0])) if min(light) > _LEAST_SD * noise > 0 else None
+
+
+class LocalRatios(NamedTuple):
+    """ln of the ratio of two frames' light by place, (n,), and the places (row, column) [px], (n, 2)."""
+
+    log: Array
+    place_px: NDArray[np.int_]
+
+
+def local_log_ratios(
+    shorter: NDArray[np.float32], longer: NDArray[np.float32], good: NDArray[np.bool_], ratio: float, sensor: Sensor
+) -> LocalRatios:
+    """The same from place to place, wherever by the `ratio` of the times one frame promises the other clear light.
+
+    By medians of 5 × 5 pixels of one colour, so that hot and blinking pixels say nothing; a frame without light counts
+    as its noise.
+    """
+    planes = [(plane[::2, 1::2] if plane.ndim == 2 else plane[::2, ::2, 1]) for plane in (shorter, longer, good)]
+    a, b = (cv2.medianBlur(np.nan_to_num(np.ascontiguousarray(plane)), _AROUND) for plane in planes[:2])
+    whole: Any = planes[2].astype(np.uint8)
+    usable = np.asarray(cv2.erode(whole, np.ones((_AROUND, _AROUND), np.uint8))) > 0
+    thin = (slice(None, None, _APART), slice(None, None, _APART))
+    a, b, usable = a[thin], b[thin], usable[thin]
+    noise_dn = np.float32(np.sqrt(2 * sensor.read_var_dn()))
+    least = _DITHERED * (noise_dn + np.float32(sensor.step_dn)) * (_BLACK_LOST if sensor.black_clipped else 1)
+    rows, columns = np.nonzero(usable & (np.maximum(a, b / np.float32(ratio)) > least))
+    a, b = np.maximum(a[rows, columns], noise_dn), np.maximum(b[rows, columns], noise_dn)
+    return LocalRatios(np.log(b / a).astype(float), 2 * _APART * np.stack([rows, columns], axis=1))
 
 
 def compared(shorter: Array, longer: Array, weight: float, step_dn: float) -> Iterator[tuple[float, float, float]]:

@@ -36,11 +36,13 @@ def shift_between(
     inner = np.zeros_like(compare)
     inner[period:-period, period:-period] = compare[period:-period, period:-period]
     row, column = np.nonzero(inner)
-    if row.size < 10:
-        return None
     step = 2 * period
     slope_x = (first[row, column + period] - first[row, column - period]) / step
     slope_y = (first[row + period, column] - first[row - period, column]) / step
+    known = np.isfinite(slope_x) & np.isfinite(slope_y)
+    row, column, slope_x, slope_y = row[known], column[known], slope_x[known], slope_y[known]
+    if row.size < 10:
+        return None
     level = (first[row, column] + second[row, column]) / 2
     whitened = np.stack([slope_x, slope_y]) / np.sqrt(np.maximum(level, 1))
     change = -(second[row, column] - first[row, column]) / np.sqrt(np.maximum(level, 1))

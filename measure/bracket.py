@@ -39,14 +39,15 @@ class Bracket:
     """The finest that a file of the session has: the numbers of all others are brought to it."""
 
     def read(self, frame: Frame) -> NDArray[Any]:
-        """The pixels of a frame or dark, linear in light."""
-        return self.read_whole(frame).data
+        """The pixels of a frame or dark, linear in light; its median for those that hold no number."""
+        data = self.read_whole(frame).data
+        return data if _is_whole(data) else np.where(np.isfinite(data), data, np.nanmedian(data))
 
     def read_whole(self, frame: Frame) -> RawFrame:
         """The same with what the file says of it; its own line in frames.csv wins."""
         path = self.folder / frame.file
         raw = read_frame_file(path, encoded=self.response is not None)
-        raw = replace(raw, card=filled(frame.card, raw.card))
+        raw = replace(raw, card=filled(frame.card, raw.card), data=_numbers(path, raw.data))
         if self.response is not None:
             return replace(raw, data=self.response.linearised(path, raw.data))
         finer = 2 ** (self.bits - raw.card.bits) if self.bits and raw.card.bits else 1
@@ -84,7 +85,7 @@ class _Loader:
             if dark.data.shape != raw.data.shape:
                 path = self.bracket.folder / frame.file
                 raise InputError(f"{path}: has {_size(dark.data)}, not the {_size(raw.data)} of {self.frame.file}")
-        sample = DarkPaired(raw.data, master_dark([_at_black_of(raw, dark) for dark in darks]), len(darks))
+        sample = _matched(raw.data, master_dark([_at_black_of(raw, dark) for dark in darks]), len(darks))
         return self.correction(sample) if self.correction else sample
 
 
@@ -94,6 +95,28 @@ def bracket_of(kind: FrameKind, folder: Path, frames: Sequence[Frame], response:
     darks = tuple(tuple(sorted(dark_for(f, frames), key=lambda d: d.file)) for f in chosen)
     bits = max((f.card.bits for f in frames if f.card.bits and f.kind in CONSTANT_KINDS), default=None)
     return Bracket(kind, folder, tuple(chosen), darks, response, bits)
+
+
+def _is_whole(data: NDArray[Any]) -> bool:
+    """Whether each pixel holds a number."""
+    return data.dtype.kind != "f" or bool(np.isfinite(data).all())
+
+
+def _numbers(path: Path, data: NDArray[Any]) -> NDArray[Any]:
+    """The pixels, NaN where there is no number; infinity stays, as what overflows. InputError where none is finite."""
+    if _is_whole(data):
+        return data
+    if not np.isfinite(data).any():
+        raise InputError(f"{path}: holds no number, only NaN or infinity; write it again, or leave it out")
+    return np.where(np.isneginf(data), data.dtype.type(np.nan), data)
+
+
+def _matched(raw: NDArray[Any], dark: NDArray[Any], n_darks: int) -> DarkPaired:
+    """Frame and dark: where the dark holds no number, the frame's is of no use either."""
+    if not _is_whole(dark):
+        missing = ~np.isfinite(dark)
+        raw, dark = np.where(missing, np.float32(np.nan), raw), np.where(missing, np.nanmedian(dark), dark)
+    return DarkPaired(raw, dark, n_darks)
 
 
 def _scaled(raw: RawFrame, factor: int) -> RawFrame:

@@ -7,7 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from bssrdf.calib import Sensor, pile_up_dn, read_noise_dn, step_dn, thinned
+from bssrdf.calib import Sensor, clipped_variance, pile_up_dn, read_noise_dn, step_dn, thinned
+from bssrdf.errors import InputError
 from bssrdf.measure.bracket import Bracket
 from bssrdf.measure.pixels import mosaic_period, places
 from bssrdf.session.flags import Flag
@@ -22,6 +23,8 @@ _CLIPPED_SHARE = 0.3
 _ABOVE_SHARE = 0.05
 """where that value is 0, or this share lies above: a whole dark at one value has noise below a step."""
 _NEARLY_ALL = 0.99
+_SHOWN = 0.6
+"""Noise in steps that makes a dark show three values or more in over 1 % of its pixels each."""
 _LOWER = 0.005
 """A pile-up this share of the range below the stated white is another limit than that."""
 
@@ -32,6 +35,8 @@ def first_guess(brackets: Sequence[Bracket], camera: Camera) -> tuple[Sensor, li
     darks = [brackets[0].read(dark) for dark in shortest]
     longest = [bracket.read(bracket.frames[-1]) for bracket in brackets]
     step = _step([*darks, *longest])
+    if _levels(darks[0]) == 1 and np.median(darks[0]) > 0:
+        _check_noise(brackets, step)
     black = camera.black if camera.black is not None else float(np.median(thinned(darks[0])))
     saturations, flags = _saturations(longest, camera, step, black)
     gain = camera.gain_e_per_dn or GAIN_GUESS / (step or 1.0)
@@ -54,6 +59,21 @@ def _step(frames: Sequence[NDArray[np.generic]]) -> float:
     """The smallest step of several frames: one alone may show every second value only."""
     step = min(step_dn(frame) for frame in frames)
     return step if np.isfinite(step) else 1.0
+
+
+def _check_noise(brackets: Sequence[Bracket], step: float) -> None:
+    """InputError where a dark shows one value, and its frame, in its darker half, noise that the dark should show."""
+    bracket = max(brackets, key=lambda bracket: len(bracket.darks[0]))
+    frame, dark = bracket.frames[0], bracket.darks[0][0]
+    data = bracket.read(frame).astype(float)
+    apart = 2 if data.ndim == 2 else 1
+    dark_half = data[:, apart:] <= np.median(data)
+    noise_dn = float(np.sqrt(clipped_variance((data[:, apart:] - data[:, :-apart])[dark_half]) / 2))
+    if noise_dn > _SHOWN * step:
+        raise InputError(
+            f"{dark.file}: shows one value in nearly all pixels, where {frame.file} has a noise of {noise_dn:.2g} DN: "
+            "it is not a picture by this camera; take darks with the beam blocked"
+        )
 
 
 def _clips_at_black(dark: NDArray[np.generic]) -> bool:

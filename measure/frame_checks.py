@@ -7,23 +7,37 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bssrdf.calib import Comparison, Exposed
+from bssrdf.calib import Comparison, Exposed, LocalRatios
 from bssrdf.errors import InputError
 from bssrdf.measure.bracket import Bracket
 from bssrdf.measure.levels import Level
-from bssrdf.session.records import Frame
+from bssrdf.session.records import Array, Frame
 
 _BLUNDER = float(np.log(1.2))
 """A label is right to a few percent (EXIF rounds by up to 6.7 %), a lamp too."""
 _SAME_LIGHT = 0.03
+_NO_LIGHT = float(np.log(30))
+_FLOOR_SD = 10.0
+"""Noises by which the darkest pixels lie above black where the dark is of another black."""
+LEAST_PLACES, _UNEVEN_SHARE = 5, 0.02
+"""So many places, and this share of them, show that frames differ from place to place,"""
+_UNEVEN = float(np.log(2))
+"""by this: a picture that moved by a pixel or two changes less, and is told otherwise."""
 _GAMMA = (0.2, 0.8)
 """Power of the exposure by which encoded values rise,"""
 _MOST_PAIRS, _LEAST_PAIRS = 0.7, 3
-"""where this share of the pairs of frames, and so many, have one like it."""
+"""where this share of the pairs of frames, and so many, have one like it,"""
+_MILD_GAMMA = 0.06
+"""or all of these one that is off by this: the lamp and bend of the real bracket of the tests make it 0.04."""
 _DOUBLES_K = 6.5
 """Dark current of silicon doubles in 6 to 7 K around room temperature (band gap 1.12 eV)."""
 _NOTICED_K = 1.0
 """Sensors state whole or half kelvins."""
+
+
+def is_blunder(log_ratio: float, stated: float) -> bool:
+    """Whether two frames' light, by the logarithm of its ratio, is another than `stated` by more than labels err."""
+    return abs(log_ratio - float(np.log(stated))) > _BLUNDER
 
 
 def check_light(
@@ -31,36 +45,72 @@ def check_light(
     comparisons: Sequence[Comparison],
     rough: Mapping[tuple[int, int], float],
     levels: Mapping[str, Sequence[Level]],
+    noise_dn: float,
 ) -> None:
     """InputError, naming the frames, where two neighbouring exposures differ in light by far more than labels err.
 
-    `rough` is the logarithm of the ratio of two frames' light, for pairs with no comparison.
+    `rough` is the logarithm of the ratio of two frames' light, for pairs with no comparison; `noise_dn` that of a pixel
+    without light.
     """
     files = {(kind, level.label_s): level.files[0] for kind, each in levels.items() for level in each}
+    floor_of = {(kind, level.label_s): level.floor_dn for kind, each in levels.items() for level in each}
     found = {**rough, **_log_ratios(comparisons)}
     stated = {pair: float(np.log(frames[pair[1]].seconds / frames[pair[0]].seconds)) for pair in found}
     off = {pair: found[pair] - stated[pair] for pair in found if abs(found[pair] - stated[pair]) > _BLUNDER}
+    power = np.array([found[pair] / stated[pair] for pair in found])
+    if _is_encoded(power, blunders=bool(off)):
+        raise InputError(
+            f"{files[_name(frames[next(iter(found))[0]])]}: its values rise as the power {np.median(power):.2f} of the "
+            "exposure instead of in proportion, as gamma-coded (sRGB) files do; develop the frames linearly"
+        )
     if not off:
         return
-    power = np.array([found[pair] / stated[pair] for pair in found])
-    middle = float(np.median(power))
-    encoded = (power > _GAMMA[0]) & (power < _GAMMA[1])
-    if len(power) >= _LEAST_PAIRS and encoded.mean() > _MOST_PAIRS:
-        raise InputError(
-            f"{files[_name(frames[next(iter(off))[0]])]}: its values rise as the power {middle:.2f} of the exposure "
-            "instead of in proportion, as gamma-coded (sRGB) files do; develop the frames linearly"
-        )
     first, second = max(off, key=lambda pair: abs(off[pair]))
     shorter, longer = (files[_name(frames[at])] for at in (first, second))
     light, expected = float(np.exp(found[first, second])), float(np.exp(stated[first, second]))
+    floors = [floor_of[_name(frames[at])] for at in (first, second)]
+    if min(floors) > _FLOOR_SD * noise_dn and max(floors) < (1 + _SAME_LIGHT) * min(floors):
+        raise InputError(
+            f"{shorter}: lies {floors[0]:.4g} DN above its dark even where it is darkest, and so does {longer}: their "
+            "darks are of another black; take them with the camera set as for the frames"
+        )
     if abs(found[first, second]) < _SAME_LIGHT:
         raise InputError(
             f"{longer}: shows the same light as {shorter}, not {expected:.3g} times as much: one of them was stored "
             "twice or has the other's exposure; take it again"
         )
+    if abs(off[first, second]) > _NO_LIGHT:
+        lit, unlit = (longer, shorter) if off[first, second] > 0 else (shorter, longer)
+        raise InputError(
+            f"{unlit}: shows hardly any light where {lit} promises it; take it again (was the shutter closed, or the "
+            "beam off?)"
+        )
     raise InputError(
         f"{longer}: shows {light:.3g} times the light of {shorter}, by their exposures it should be {expected:.3g} "
         "times; correct exposure_s in frames.csv, or take them again (was a frame exchanged, or the beam off?)"
+    )
+
+
+def _is_encoded(power: Array, *, blunders: bool) -> bool:
+    """Whether light rises as one power of the exposure, of each pair of frames, that is not 1."""
+    if len(power) < _LEAST_PAIRS:
+        return False
+    encoded = (power > _GAMMA[0]) & (power < _GAMMA[1])
+    curved = abs(float(np.median(power)) - 1)
+    alike = float(np.percentile(np.abs(power - np.median(power)), 100 * _MOST_PAIRS)) < curved / 3
+    return bool((blunders and encoded.mean() > _MOST_PAIRS) or (alike and curved > _MILD_GAMMA))
+
+
+def check_even(shorter: Level, longer: Level, local: LocalRatios, whole: float) -> None:
+    """InputError where in part of two frames their light is in another ratio than `whole`, as a logarithm."""
+    uneven = np.abs(local.log - whole) > _UNEVEN
+    if np.count_nonzero(uneven) < max(LEAST_PLACES, _UNEVEN_SHARE * len(uneven)):
+        return
+    y, x = np.median(local.place_px[uneven], axis=0)
+    times = float(np.exp(np.median(local.log[uneven]) - whole))
+    raise InputError(
+        f"{longer.files[0]}: shows around pixel ({x:.0f}, {y:.0f}) {times:.2g} times the light of {shorter.files[0]}, "
+        "over that in the whole; take both again (a file that was cut, a shutter half open, a picture that moved?)"
     )
 
 

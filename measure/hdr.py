@@ -66,6 +66,10 @@ class Hdr:
     count: Counts
     mask: Bits
 
+    def n_missing(self) -> int:
+        """Pixels that hold no data, those that saturate left out."""
+        return int(np.count_nonzero((self.mask & (SATURATED | NO_DATA)) == NO_DATA))
+
 
 class Progress(Protocol):
     """Told how far a long work is: a word for the work, the steps done and the steps in all."""
@@ -98,9 +102,9 @@ def merge(
             if progress:
                 progress(what, first_step + i + 1, steps)
 
-    signal, seconds, count = _poisson_sum(samples(0), sensor)
-    saturated = count == 0
-    if saturated.all():
+    signal, seconds, count, missing = _poisson_sum(samples(0), sensor)
+    saturated = count == 0 if missing is None else (count == 0) & ~missing
+    if not count.any():
         raise InputError(
             f"{ordered[0].name}: every pixel is saturated (at or above {sensor.saturation_dn:g} DN) "
             "in every exposure; add shorter exposures"
@@ -114,7 +118,7 @@ def merge(
         expected = _expected_radiance(signal, seconds, sensor, period)
         del signal, seconds
         radiance, variance = _reweighted_sum(again, sensor, model_rel_sd, expected)
-    mask = saturated * np.uint8(SATURATED | NO_DATA)
+    mask = saturated * np.uint8(SATURATED) + (count == 0) * np.uint8(NO_DATA)
     if hot is not None:
         mask[hot] |= HOT
     return Hdr(radiance, variance, count, mask)
@@ -138,18 +142,22 @@ def read_ahead(shots: Sequence[Shot]) -> Iterator[tuple[Shot, DarkPaired]]:
             yield shot, sample
 
 
-def _poisson_sum(samples: Iterator[tuple[Shot, DarkPaired]], sensor: Sensor) -> tuple[Plane, Plane, Counts]:
-    """Σ(x − d), Σt and the number of unsaturated samples, by pixel."""
-    signal = seconds = count = None
+def _poisson_sum(
+    samples: Iterator[tuple[Shot, DarkPaired]], sensor: Sensor
+) -> tuple[Plane, Plane, Counts, NDArray[np.bool_] | None]:
+    """Σ(x − d), Σt and the number of unsaturated samples, by pixel, and where a sample held no number, if any did."""
+    signal = seconds = count = missing = None
     for shot, (raw, dark, _) in samples:
         if signal is None or seconds is None or count is None:
             signal, seconds = np.zeros(raw.shape, np.float32), np.zeros(raw.shape, np.float32)
             count = np.zeros(raw.shape, np.uint16)
         planes = _rows(signal), _rows(seconds), _rows(count)
         add_light(_rows(raw), _rows(dark), *_response(sensor, raw), np.float32(shot.exposure_s), *planes)
+        if raw.dtype.kind == "f" and (unknown := np.isnan(raw)).any():
+            missing = unknown if missing is None else missing | unknown
     if signal is None or seconds is None or count is None:
         raise InputError("no frame to merge; list some in frames.csv")
-    return signal, seconds, count
+    return signal, seconds, count, missing
 
 
 def _rows(plane: NDArray[Any]) -> NDArray[Any]:

@@ -29,6 +29,8 @@ _CORE_BLOCKS = 8
 """Blocks to the radius of a spot's core: finer ones tell its width no better."""
 _CORE_REACH = 5.0
 _RING_POINTS = 200
+_APART_SPOTS = 0.25
+"""Radii of the spot on the tile by which that on the sample may lie beside it: both are symmetric across the view."""
 _SECOND_PEAK = 0.05
 _SECOND_CONTRAST = 1.5
 
@@ -67,17 +69,20 @@ class Image:
         small = small if small.ndim == 2 else small.mean(axis=2)
         return np.asarray(cv2.blur(small, (3, 3), borderType=cv2.BORDER_REPLICATE), np.float32), side
 
-    @cached_property
-    def aliasing(self) -> float:
+    def aliasing(self, channel: str) -> float:
         """How far a sum over one of four pixels of a mosaic is off, relative: by half the difference of its two greens.
 
-        A spot that is narrow against the distance of the filters of one colour falls between them or on them.
+        A spot that is narrow against the distance of the filters of one colour falls between them or on them, most
+        along the view, which makes it narrower: so a colour shares the sign of the green in its row, or column.
         """
-        if len(self.layout) != 4 or self.layout.count("G") != 2:
+        if len(self.layout) != 4 or self.layout.count("G") != 2 or self.layout.count(channel) != 1:
             return 0.0
-        greens = grids_of(self.hdr, self.layout, "G")
-        first, second = (float(grid.radiance.sum(dtype=float, where=grid.mask == 0)) for grid in greens)
-        return (first - second) / max(first + second, 1e-300)
+        first, second = grids_of(self.hdr, self.layout, "G")
+        (own,) = grids_of(self.hdr, self.layout, channel)
+        along = 1 if self.surface.geometry.view_axis == "y" else 0
+        sign = 1.0 if own.first_px[along] == first.first_px[along] else -1.0
+        one, two = (float(grid.radiance.sum(dtype=float, where=grid.mask == 0)) for grid in (first, second))
+        return sign * (one - two) / max(one + two, 1e-300)
 
     def is_saturated(self, channel: str) -> bool:
         """Whether some pixel of the channel is saturated in every exposure, hot ones left out."""
@@ -133,13 +138,29 @@ def _spot_in(image: Image, centre_px: tuple[float, float], half_px: float, k: in
     return find_spot(x, y, value, centre_px, max(sd_px, 2.0**k * mosaic_period(image.layout)))
 
 
-def beam_on_sample(own: Spot, on_tile: Spot, coplanar: bool) -> Spot:
-    """Where the beam lands on the sample: at the spot seen there, or where it does on a tile in the same plane.
+def beam_on_sample(image: Image, own: Spot, on_tile: Spot, *, coplanar: bool) -> Spot:
+    """Where the beam lands on the sample: at the spot seen there, or, along the view, as on a tile in the same plane.
 
     Light runs outwards in the sample, so that a camera at an angle sees its spot drawn towards the camera: a slice
     through that centre is too bright, by some percent near the beam. A tile hardly scatters sideways.
     """
-    return own._replace(x_px=on_tile.x_px, y_px=on_tile.y_px) if coplanar else own
+    if not coplanar:
+        return own
+    seen_along_y = image.surface.geometry.view_axis == "y"
+    return own._replace(y_px=on_tile.y_px) if seen_along_y else own._replace(x_px=on_tile.x_px)
+
+
+def check_beam_stayed(image: Image, own: Spot, on_tile: Spot) -> None:
+    """InputError where the sample's spot lies so far from that on a coplanar tile that beam or surface was moved."""
+    x, y = np.array([own.x_px]), np.array([own.y_px])
+    across, along = (abs(float(each[0])) for each in image.surface.centred(x, y, (on_tile.x_px, on_tile.y_px)))
+    most = max(_APART_SPOTS * spot_radius_mm(image, on_tile), image.footprint(own)[0])
+    if across > most or along > most + 2 * spot_radius_mm(image, own):
+        raise InputError(
+            f"{image.name}: its spot lies {across:.2g} mm across the view and {along:.2g} mm along it from that on the "
+            "tile, which are in one plane by [reference] coplanar; take both again with the beam at rest, or set it to "
+            "false"
+        )
 
 
 def has_second_spot(image: Image, spot: Spot) -> bool:

@@ -19,6 +19,7 @@ from bssrdf.calib import (
     comparable,
     compared,
     leak_of,
+    local_log_ratios,
     pair_gain,
     plateau_dn,
     rough_log_ratio,
@@ -30,7 +31,7 @@ from bssrdf.calib import (
 from bssrdf.errors import InputError
 from bssrdf.measure.bracket import Bracket
 from bssrdf.measure.first_look import MARGIN, first_guess
-from bssrdf.measure.frame_checks import check_light
+from bssrdf.measure.frame_checks import LEAST_PLACES, check_even, check_light, is_blunder
 from bssrdf.measure.hdr import Progress
 from bssrdf.measure.levels import Correction, Level, beside, levels_of
 from bssrdf.measure.pixels import places
@@ -42,6 +43,8 @@ _MAX_PIXELS = 2_000_000
 _HOT_SD = 8.0
 _MOVED_PX = 0.15
 _MOVED_SD = 6.0
+_FAR_PX = 0.5
+"""Pixels of a colour: the curve near the beam is off by percents from here on."""
 _LABEL_OFF = 0.01
 _CONTRADICT = 0.005
 _NONLINEAR = 0.03
@@ -86,6 +89,8 @@ class _Found:
     n_places: int = 1
     """In a cell of the mosaic, or channels."""
     moved: bool = False
+    moved_far: list[str] = field(default_factory=list)
+    """A line for each frame whose picture moved by more than can be borne."""
     levels: dict[str, list[Level]] = field(default_factory=dict)
     """By kind, without their pixels."""
 
@@ -168,7 +173,9 @@ def _compare(
                 "shorter exposures"
             )
         found.levels[bracket.kind] = done
-    check_light(found.frames, found.comparisons, found.light, found.levels)
+    check_light(found.frames, found.comparisons, found.light, found.levels, float(np.sqrt(sensor.read_var_dn())))
+    for line in found.moved_far:
+        raise InputError(line)
     return found
 
 
@@ -191,8 +198,13 @@ def _compare_pair(found: _Found, before: Level, level: Level, sensor: Sensor, pe
     fine = before.unsaturated(sensor), level.unsaturated(sensor)
     near = beside(~fine[0]), beside(~fine[1])
     rough = rough_log_ratio(a, b, fine[0] & fine[1], sensor)
+    local = local_log_ratios(a, b, fine[0] & fine[1], ratio, sensor)
+    if rough is None and len(local.log) >= LEAST_PLACES:
+        rough = float(np.median(local.log))
     if rough is not None:
         found.light[second - 1, second] = rough
+        if not is_blunder(rough, ratio):
+            check_even(before, level, local, rough)
     chosen = np.zeros(a.shape, bool)
     found.n_places = len(places(a.shape, period))
     for colour, at in enumerate(places(a.shape, period)):
@@ -212,10 +224,16 @@ def _compare_pair(found: _Found, before: Level, level: Level, sensor: Sensor, pe
         gain = pair_gain(x, y, sensor.read_var_dn() * (1 + 1 / level.n_darks)) if x.sum() > 0 and y.sum() > 0 else None
         found.gains += [gain] if gain else []
     one = (..., 1) if a.ndim == 3 else ...
-    light = float(b[chosen].sum(dtype=float)) / max(float(a[chosen].sum(dtype=float)), 1e-300)
-    shift = shift_between(a[one], b[one] / np.float32(light), chosen[one], period) if light > 0 else None
+    light = [float(plane[chosen].sum(dtype=float)) for plane in (a, b)]
+    times = np.float32(light[1] / light[0]) if min(light) > 0 else None
+    shift = None if times is None else shift_between(a[one], b[one] / times, chosen[one], period)
     if shift and shift.length_px > max(_MOVED_PX, _MOVED_SD * shift.sd_px):
         found.moved = True
+        if shift.length_px > _FAR_PX * period:
+            found.moved_far.append(
+                f"{level.files[0]}: the picture moved by about {shift.length_px:.1f} px since {before.files[0]}; take "
+                "the bracket again on a still stand"
+            )
 
 
 def _by_brightness(

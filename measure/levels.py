@@ -11,15 +11,19 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from bssrdf.calib import Gain, Sensor, by_row, least_signal, pair_gain, rows_of
+from bssrdf.calib import Gain, Sensor, by_row, least_signal, pair_gain, rows_of, thinned
 from bssrdf.errors import InputError
 from bssrdf.measure.bracket import Bracket
 from bssrdf.measure.hdr import DarkPaired, Shot, read_ahead
 
 _DARKER_SD = 5.0
+_BELOW_SD, _MOST_BELOW = 20.0, 0.01
+"""Noises below the dark, and share of the pixels, that no noise and no hot pixels explain."""
 _LEAST_FLUX_PIXELS = 100
 _MOST_GAIN_PIXELS = 500_000
 _STRIP_ROWS = 16
+_DARKEST = 1
+"""Percentile of a frame's pixels that are taken as its darkest."""
 _SPOT_PIXELS, _MOST_PIXELS = 1_000_000, 2_000_000
 """Of a large frame the rows of the beam's spot are compared, and strips of others: more tell nothing new."""
 
@@ -32,6 +36,8 @@ class Level:
     files: list[str]
     signal: NDArray[np.float32]
     """Mean of the frames above their dark [DN]."""
+    floor_dn: float
+    """What the darkest pixels show above their dark, of the first frame."""
     brightest: NDArray[Any]
     """Largest raw value of each pixel over the frames [DN]."""
     n_darks: int
@@ -82,13 +88,14 @@ def levels_of(bracket: Bracket, sensor: Sensor) -> Iterator[Level]:
             signal = np.subtract(sample.raw, sample.dark, dtype=np.float32)
             _check_brighter_than_dark(shot, signal, float(np.sqrt(sensor.read_var_dn())))
             if level is None or clear is None:
-                level = Level(label_s, [], signal, sample.raw, sample.n_darks)
+                floor = float(np.nanpercentile(thinned(signal), _DARKEST))
+                level = Level(label_s, [], signal, floor, sample.raw, sample.n_darks)
                 clear = sensor.unsaturated(sample.raw) & (signal > least_signal(sensor))
                 level.n_light = int(np.count_nonzero(clear))
             else:
                 _add(level, signal, sample, sensor)
             level.files.append(shot.name)
-            level.light.append(float(signal[clear].sum(dtype=float)))
+            level.light.append(float(np.nansum(signal[clear], dtype=float)))
         assert level is not None
         yield level
 
@@ -98,8 +105,9 @@ def telling_rows(sample: DarkPaired) -> Any:
     height, pixels_a_row = len(sample.raw), sample.raw[0].size
     if sample.raw.size <= _SPOT_PIXELS + _MOST_PIXELS:
         return slice(None)
-    light = sample.raw.sum(axis=tuple(range(1, sample.raw.ndim)), dtype=float)
-    light -= sample.dark.sum(axis=tuple(range(1, sample.raw.ndim)), dtype=float)
+    of_a_row = tuple(range(1, sample.raw.ndim))
+    raw = sample.raw if sample.raw.dtype.kind != "f" else np.nan_to_num(sample.raw, posinf=0.0)
+    light = raw.sum(axis=of_a_row, dtype=float) - sample.dark.sum(axis=of_a_row, dtype=float)
     beam = int(np.argmax(np.convolve(light, np.ones(_STRIP_ROWS), "same")))
     every = -(-height * pixels_a_row // _MOST_PIXELS)
     strips = np.arange(height) // _STRIP_ROWS
@@ -127,7 +135,13 @@ def _gain_of_two(level: Level, other: NDArray[np.float32], good: NDArray[np.bool
 
 def _check_brighter_than_dark(shot: Shot, signal: NDArray[np.float32], noise_dn: float) -> None:
     thin = max(1, signal.shape[0] // 200)
-    middle = float(np.median(signal[::thin]))
+    some = signal[::thin]
+    below = float(np.mean(some < -_BELOW_SD * noise_dn))
+    middle = float(np.nanmedian(some))
+    if below > _MOST_BELOW and middle > -_DARKER_SD * noise_dn:
+        raise InputError(
+            f"{shot.name}: {100 * below:.2g} % of its pixels lie far below its dark; take it again (was the file cut?)"
+        )
     if middle < -_DARKER_SD * noise_dn - np.spacing(noise_dn):
         raise InputError(
             f"{shot.name}: its dark frame is brighter than the frame, by {-middle:.4g} DN in the median; "

@@ -17,10 +17,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from bssrdf.calib import Exposures
+from bssrdf.calib import Exposures, pile_up_dn
 from bssrdf.errors import InputError
-from bssrdf.measure.hdr import NO_DATA, Hdr, Plane
-from bssrdf.measure.pixels import mosaic_period
+from bssrdf.measure.hdr import NO_DATA, SATURATED, Hdr, Plane
+from bssrdf.measure.pixels import mosaic_period, places
 from bssrdf.measure.total_errors import Timing
 from bssrdf.session.frame_files import read_linear_image
 from bssrdf.session.hdr_image import read_hdr_exr, write_hdr_exr
@@ -29,6 +29,8 @@ from bssrdf.session.records import Camera, Frame, Session
 
 _TOLD = "told"
 _NEIGHBOURHOOD = 9
+_LEAST_ON_TOP, _PILED, _JUST_BELOW = 4, 4.0, 0.01
+"""So many pixels of the very same largest value, and so many times those within this share below it, were cut off."""
 _BRIGHT_EDGE = 0.05
 """Share of the brightest pixel: what leaves a spot's surroundings at this level is more than is put back."""
 
@@ -140,21 +142,48 @@ def _check_light_is_inside(frame: Frame, radiance: Plane) -> None:
     """InputError where it is bright beside pixels without data: the data window of the file cuts off the spot."""
     light = radiance if radiance.ndim == 2 else radiance.sum(2)
     usable = np.isfinite(light)
-    beside = usable & (cv2.dilate((~usable).astype(np.uint8), np.ones((3, 3), np.uint8)) > 0)
+    near = np.ones((3, 3), np.uint8)
+    without_data = cv2.morphologyEx((~usable).astype(np.uint8), cv2.MORPH_OPEN, near)  # single pixels are no window
+    beside = usable & (cv2.dilate(without_data, near) > 0)
     if beside.any() and light[beside].max() > _BRIGHT_EDGE * light[usable].max():
         raise InputError(f"{frame.file}: its data window cuts through the spot; save the whole picture")
 
 
 def _with_variance(radiance: Plane, period: int, rel_sd: float | None) -> Hdr:
-    """The image with its variance, given or by its own scatter; pixels that are not numbers have no data."""
+    """The image with its variance, given or by its own scatter; pixels that are no number have no data.
+
+    Where values pile up at the end of a channel, the tool that merged it had no exposure short enough.
+    """
     usable = np.isfinite(radiance)
     numbers = np.nan_to_num(radiance, posinf=0.0, neginf=0.0)
     return Hdr(
         np.where(usable, radiance, np.float32(np.nan)),
         scatter_variance(numbers, period) if rel_sd is None else np.square(np.float32(rel_sd) * numbers),
         usable.astype(np.uint16),
-        np.where(usable, np.uint8(0), np.uint8(NO_DATA)),
+        np.where(usable, np.uint8(0), np.uint8(NO_DATA)) | _clipped(numbers, period) * np.uint8(SATURATED),
     )
+
+
+def _clipped(image: Plane, period: int) -> NDArray[np.bool_]:
+    """Pixels at the end of a channel where values pile up, and in others that end at the very same value."""
+    at_places = places(image.shape, period)
+    ends = [_end_of_pile(image[at]) for at in at_places]
+    limits = {float(image[at].max()) for at, end in zip(at_places, ends, strict=True) if np.isfinite(end)}
+    clipped = np.zeros(image.shape, bool)
+    for at, end in zip(at_places, ends, strict=True):
+        top = float(image[at].max())
+        clipped[at] = image[at] >= min(end, top if top in limits else np.inf)
+    return clipped
+
+
+def _end_of_pile(values: Plane) -> float:
+    """The value from which a channel's values pile up; infinity where they do not."""
+    end, top = pile_up_dn(values, 0.0, 0.0), float(values.max())
+    on_top = np.count_nonzero(values == top)
+    below = np.count_nonzero(values > (1 - _JUST_BELOW) * top) - on_top
+    if end is None:
+        return top if on_top >= _LEAST_ON_TOP and on_top > _PILED * (1 + below) else np.inf
+    return end
 
 
 def scatter_variance(image: Plane, period: int) -> Plane:

@@ -104,10 +104,12 @@ def evident_floor(
     return floor if abs(floor.value) > _FLOOR_SD * floor.sd else None
 
 
-def doubted(total: TotalReflectance, floor: Estimate, image: Image, spot: Spot) -> tuple[TotalReflectance, bool]:
-    """The total with a floor that stays in it as its error, and whether that is a notable share of the light."""
-    across, along = image.outline(spot)
-    light = abs(floor.value * float(np.trapezoid(along, across)))
+def doubted(total: TotalReflectance, without: TotalReflectance, floor: Estimate) -> tuple[TotalReflectance, bool]:
+    """The total with a floor that stays in it as its error, and whether that is a notable share of the light.
+
+    `without` it is another total: the light beyond the frame, which the floor feigns, is another too.
+    """
+    light = abs(total.light - without.light)
     wider = replace(total, floor=Estimate(0.0, abs(floor.value)), sd=float(np.hypot(total.sd, light)))
     return wider, light > _GLARE_SHARE * total.light
 

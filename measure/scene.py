@@ -57,7 +57,7 @@ def marks_of(session: Session, images: Mapping[str, Image], curve: Slice | None)
     for kind, image in images.items():
         centre = spots[kind]
         if kind == "sample" and "reference" in spots:
-            centre = beam_on_sample(centre, spots["reference"], coplanar)
+            centre = beam_on_sample(image, centre, spots["reference"], coplanar=coplanar)
         marks[kind] = _marks(image, spots[kind], centre, curve if kind == "sample" else None, _aspect(curve, kind))
     return marks
 

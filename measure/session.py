@@ -23,7 +23,7 @@ from bssrdf.measure.plot import write_scene_png, write_slice_png
 from bssrdf.measure.slice import SliceOptions, measure_slice
 from bssrdf.measure.total_errors import Timing
 from bssrdf.session.atomic import replace_folder, sha256_of
-from bssrdf.session.constancy import check_constant, with_cards
+from bssrdf.session.constancy import check_constant, check_no_copy, with_cards
 from bssrdf.session.flags import Flag
 from bssrdf.session.frames_csv import read_frames
 from bssrdf.session.records import Camera, Frame, FrameKind, Session, Slice, Space
@@ -98,6 +98,7 @@ def _merged(session: Session, listed: Sequence[Frame], hdr_rel_sd: float | None,
     listed = with_cards(session.path, listed, encoded=session.camera.response is not None)
     check_constant(listed, session.path)
     hashes = {frame.file: sha256_of(session.path / frame.file) for frame in listed}
+    check_no_copy(listed, hashes, session.path)
     frames, flags = _without_duplicates(listed, hashes)
     response = session_response(session, frames)
     flags += [Flag.NOT_LINEAR] if response else []
@@ -114,6 +115,9 @@ def _merged(session: Session, listed: Sequence[Frame], hdr_rel_sd: float | None,
         learnt = learn_camera(list(brackets.values()), camera, mosaic_period(camera.layout or "mono"), progress)
         images |= _merge_all(brackets, frames, camera, learnt, progress)
         flags += learnt.flags
+    if missing := {kind: n for kind, hdr in images.items() if (n := hdr.n_missing())}:
+        flags.append(Flag.MISSING_PIXELS)
+        found[Flag.MISSING_PIXELS] = ", ".join(f"{n} of the {kind}" for kind, n in missing.items())
     if not images:
         raise InputError(f"{session.path / 'frames.csv'}: lists no frame of kind sample or reference; add some")
 

@@ -9,7 +9,15 @@ import numpy as np
 
 from bssrdf.calib import Exposures, Spot
 from bssrdf.errors import InputError
-from bssrdf.measure.image import Image, beam_on_sample, beam_on_tile, has_second_spot, locate, spot_radius_mm
+from bssrdf.measure.image import (
+    Image,
+    beam_on_sample,
+    beam_on_tile,
+    check_beam_stayed,
+    has_second_spot,
+    locate,
+    spot_radius_mm,
+)
 from bssrdf.measure.isophotes import Expected, Isophotes, look_at_isophotes
 from bssrdf.measure.pixels import channel_names
 from bssrdf.measure.profile import RadialProfile
@@ -38,7 +46,10 @@ _LEAST_BINS = 10
 _CORE_LOW, _CORE_HIGH = 0.9, 1.4
 """The spot on a tile looks as wide as the beam or somewhat wider: within these its own spread need not be fitted."""
 _SPOT_SD, _SPOT_REL = 3.0, 0.2
+_ALIASED = 0.003
+"""Of the light of a colour, missed or seen twice between the filters: as much as a good tile is uncertain by."""
 _EXPLAIN = (
+    Flag.GLARE,
     Flag.DRIFT,
     Flag.EXPOSURE_LABELS_OFF,
     Flag.EXPOSURE_RATIOS_DISAGREE,
@@ -80,7 +91,7 @@ def measure_slice(
     angles = geometry.view_angle_deg, session.beam.incidence_deg
     around = Surroundings(max(material.eta, 1.0), max(material.g or 0.0, 0.0), *angles)
     around_tile = Surroundings(_TILE_ETA, 0.0, *angles)
-    beam = beam_on_sample(*spots, tile.coplanar)
+    beam = beam_on_sample(sample, *spots, coplanar=tile.coplanar)
     flags = _image_flags(session, sample, reference, spots)
     given_mm = session.beam.spot_radius_mm
     radius = Estimate(given_mm, 0.0) if given_mm else beam_on_tile(reference, spots[1], geometry.view_angle_deg)
@@ -99,16 +110,18 @@ def measure_slice(
         if reference.is_saturated(channel):
             continue
         rho = reflectance_of(tile, channel, session, sample)
-        incident, _ = _light(reference, channel, spots[1], around_tile, options, hidden["reference"], reflects=rho)
+        incident, under_tile = _light(
+            reference, channel, spots[1], around_tile, options, hidden["reference"], reflects=rho
+        )
         per_light = rho / incident.light
         back, floors = _light(sample, channel, beam, around, options, hidden["sample"], per_light=per_light)
-        flags += floors
+        flags += [*under_tile, *floors]
         profiles = {0: back.profile} if options.radial else slice_profiles(sample, channel, beam, band_mm)
         channels[channel] = channel_slice(profiles, back.floor, per_light)
         lost[channel] = back.lost_fraction
         common = common_errors(back, incident, timing, exposures)
-        if sample.px_per_sample[channel] == 4:
-            common.append(sample.aliasing - reference.aliasing)
+        of_sample, of_tile = sample.aliasing(channel), reference.aliasing(channel)
+        common.append(max(abs(of_tile), abs(of_sample - of_tile)))  # of the curve, and of the total
         if session.beam.kind == "laser":
             common.append(speckle_rel_sd(radius.value, channel, session))
         if session.beam.polarised:
@@ -123,6 +136,7 @@ def measure_slice(
         raised = {
             Flag.LIGHT_LOST: max(back.lost_fraction, incident.lost_fraction) > _MAX_LOST,
             Flag.SLICE_RADIAL_DISAGREE: differ and not options.radial,
+            Flag.NARROW_SPOT: common[-1] > _ALIASED,
         }
         flags += [flag for flag, is_raised in raised.items() if is_raised]
     tile_rel_sd, mm_rel_sd, view_angle_sd_deg, assumed = stated_errors(tile, geometry)
@@ -134,6 +148,8 @@ def measure_slice(
         view = Expected(session, around, wide, *seen[brightest], brightest, view_angle_sd_deg)
         isophotes = look_at_isophotes(view, (sample, reference), (beam, spots[1]))
     flags += isophotes.flags
+    if tile.coplanar:
+        check_beam_stayed(sample, *spots)
     if not channels:
         raise InputError(f"{reference.name}: every channel is saturated at the spot; add shorter exposures")
     return Slice(
@@ -186,10 +202,11 @@ def _light(
     floor = evident_floor(image, spot, around, total, per_light)
     if floor is None:
         return total, []
-    if floor.value > 0:
-        total, notable = doubted(total, floor, image, spot)
-        return total, [Flag.GLARE] if notable else []
-    return total_light(image, channel, spot, around, glare=True, per_light=per_light), [Flag.BLACK_OFFSET]
+    without = total_light(image, channel, spot, around, glare=True, per_light=per_light)
+    if floor.value < 0:
+        return without, [Flag.BLACK_OFFSET]
+    total, notable = doubted(total, without, floor)
+    return total, [Flag.GLARE] if notable else []
 
 
 def _plausible(total: float, channel: str, session: Session, found: Sequence[str]) -> float:

@@ -27,6 +27,8 @@ _MODEL_REL_SD = 0.003
 _MODEL_FREEDOM = 4
 """The form is right to this, and departs from the truth as smoothly as a curve of this many free values."""
 _LEAST_BINS = 8
+_OUTERMOST = 4
+"""One in so many bins, the farthest, tells a floor below 0 to begin with: darks brighter than black make one."""
 _ATTENUATION_REL_SD = 0.03
 _MOST_STEP = 0.01
 """A parameter that nothing tells has an error without bound; its slope is taken over no more than this."""
@@ -160,14 +162,18 @@ def fit_tail(
     r, value = profile.r[outer], profile.value[outer]
     model_sd = _MODEL_REL_SD * np.sqrt(max(1.0, len(r) / _MODEL_FREEDOM))
     sd = np.hypot(profile.sd[outer], model_sd * value)
-    if len(r) < _LEAST_BINS or np.mean(value / sd) < 1:
+    r, value, sd = r[sd > 0], value[sd > 0], sd[sd > 0]
+    if len(r) < _LEAST_BINS:
         return None
-    first = float(value[0])
+    below = min(0.0, float(np.mean(value[-len(r) // _OUTERMOST :]))) if with_floor else 0.0
+    first = float(value[0]) - below
+    if max(float(np.mean(value / sd)), float(np.mean(-below / sd))) < 1 or not first > 0:
+        return None
 
     def make(p: Array) -> Tail:
         unit = Tail(1.0, float(np.exp(p[1])), float(np.exp(p[2])), 0.0, boundary)
         scale = float(np.exp(p[0])) * first / float(unit(r[:1])[0])
-        return Tail(scale, unit.sigma_tr, unit.mfp, float(p[3]) * first if with_floor else 0.0, boundary)
+        return Tail(scale, unit.sigma_tr, unit.mfp, below + float(p[3]) * first if with_floor else 0.0, boundary)
 
     n = 4 if with_floor else 3
     low = [-20.0, np.log(1e-4 / reach), np.log(1e-3 * reach), -1.0][:n]

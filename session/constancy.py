@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from math import log
 from pathlib import Path
+from statistics import median
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from bssrdf.errors import BssrdfError, InputError
-from bssrdf.session.frame_files import read_card
+from bssrdf.session.frame_files import read_card, read_frame_file
+from bssrdf.session.frames_csv import dark_for
 from bssrdf.session.raw_frame import filled
 from bssrdf.session.records import Card, Frame
 
@@ -36,6 +41,8 @@ _NAMES = {
     "bits": "bits",
     _SIZE: "size",
 }
+_ROUNDED, _OTHER_EXPOSURE = 0.07, 0.18
+"""Logarithms: a label is rounded by 6.7 % at most; 20 % is another exposure."""
 _REMEDY = "take them anew with one setting, or leave one out"
 
 
@@ -57,9 +64,9 @@ class Difference(NamedTuple):
 
 
 def check_constant(frames: Sequence[Frame], where: Path) -> None:
-    """InputError for the first two frames that differ in what must be constant."""
-    for difference in differences(frames):
-        raise InputError(f"{where / str(difference)}")
+    """InputError for the first two frames that differ in what must be constant, or in exposure by their own files."""
+    for fault in (*differences(frames), *exposure_faults(frames)):
+        raise InputError(f"{where / str(fault)}")
 
 
 def differences(frames: Sequence[Frame]) -> Iterator[Difference]:
@@ -75,6 +82,59 @@ def differences(frames: Sequence[Frame]) -> Iterator[Difference]:
                 if (frame.file, what) not in told and not _agree(known[0].card, frame.card, what):
                     told.add((frame.file, what))
                     yield Difference(known[0], frame, what)
+
+
+def exposure_faults(frames: Sequence[Frame]) -> Iterator[str]:
+    """A line for each dark that its file says is of another exposure than its frame, and for each kind of frames whose
+    files say, all alike, that frames.csv has other exposures."""
+    for kind in ("sample", "reference", "flat"):
+        told = [frame for frame in frames if frame.kind == kind and frame.card.file_exposure_s]
+        yield from (line for frame in told for line in _dark_faults(frame, frames))
+        off = [log(f.card.file_exposure_s / f.exposure_s) for f in told if not f.exposure_measured_s]  # type: ignore[operator]  # told
+        labels = {frame.exposure_s for frame in told if not frame.exposure_measured_s}
+        if len(labels) > 1 and max(off) - min(off) < _ROUNDED and abs(median(off)) > _OTHER_EXPOSURE:
+            yield (
+                f"{told[0].file}: was exposed for {told[0].card.file_exposure_s:g} s by its own file, not for "
+                f"{told[0].exposure_s:g} s as frames.csv says, and so were the other {kind} frames; correct exposure_s"
+            )
+
+
+def _dark_faults(frame: Frame, frames: Sequence[Frame]) -> Iterator[str]:
+    try:
+        darks = dark_for(frame, frames)
+    except InputError:
+        return  # who needs it says so
+    for dark in darks:
+        own, its = frame.card.file_exposure_s, dark.card.file_exposure_s
+        if own and its and abs(log(its / own)) > _ROUNDED:
+            yield (
+                f"{dark.file}: was exposed for {its:g} s by its own file, not for {own:g} s as {frame.file}; take "
+                "darks of the frames' exposures, or correct exposure_s in frames.csv"
+            )
+
+
+def check_no_copy(frames: Sequence[Frame], hashes: Mapping[str, str], where: Path) -> None:
+    """InputError for the first frame that is the very file of another one of another kind or exposure."""
+    for message in copies(frames, hashes, where):
+        raise InputError(f"{where / message}")
+
+
+def copies(frames: Sequence[Frame], hashes: Mapping[str, str], where: Path) -> Iterator[str]:
+    """A line for each frame that is a copy of one that it cannot be.
+
+    One dark may serve sample and reference, and frames of one value in all pixels are alike without being copies.
+    """
+    first: dict[str, Frame] = {}
+    for frame in frames:
+        other = first.setdefault(hashes[frame.file], frame)
+        darks = frame.kind.endswith("dark") and other.kind.endswith("dark")
+        if frame.exposure_s == other.exposure_s and (frame.kind == other.kind or darks):
+            continue
+        if np.ptp(read_frame_file(where / frame.file, encoded=True).data) > 0:
+            yield (
+                f"{frame.file}: is {other.file} once more, byte for byte, but listed as {frame.kind} of "
+                f"{frame.exposure_s:g} s and not {other.kind} of {other.exposure_s:g} s; put the right file there"
+            )
 
 
 def with_cards(session_path: Path, frames: Sequence[Frame], *, encoded: bool = False) -> list[Frame]:

@@ -122,6 +122,11 @@ class Flag(StrEnum):
         ("measure", "fit"),
         "Over 5 % of the light fell outside the frame: its share was estimated, and R rests on it.",
     )
+    MISSING_PIXELS = (
+        "missing_pixels",
+        "measure",
+        "Some pixels hold no number in any frame: they were left out, and counted in provenance.",
+    )
     MOVED = ("moved", "measure", "The picture moved between exposures.")
     NARROW_SAMPLE = (
         "narrow_sample",
@@ -132,6 +137,11 @@ class Flag(StrEnum):
         "narrow_band",
         "measure",
         "Green is darker than red and blue let expect: blood or a dye? There the colour matrix may be worse than none.",
+    )
+    NARROW_SPOT = (
+        "narrow_spot",
+        "measure",
+        "The spot falls between the pixels of red or blue: its share of the error of R was added.",
     )
     NEGATIVE_LIGHT = (
         "negative_light",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -42,12 +43,16 @@ def read_frame_file(path: Path, *, encoded: bool = False) -> RawFrame:
 
 def read_frames_of(path: Path, *, encoded: bool = False) -> Iterator[RawFrame]:
     """Every frame of a file, one by one: one, or those of a stack."""
-    return iter(_read(path, encoded=encoded, pixels=True))
+    return map(_with_exposure, _read(path, encoded=encoded, pixels=True))
 
 
 def read_card(path: Path, *, encoded: bool = False) -> RawFrame:
     """What the file says of its frame, without its pixels where a header tells; InputError as when it is read."""
-    return next(iter(_read(path, encoded=encoded, pixels=False)))
+    return _with_exposure(next(iter(_read(path, encoded=encoded, pixels=False))))
+
+
+def _with_exposure(frame: RawFrame) -> RawFrame:
+    return replace(frame, card=replace(frame.card, file_exposure_s=frame.exposure_s))
 
 
 def read_linear_image(path: Path) -> NDArray[np.float32]:

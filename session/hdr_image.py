@@ -99,11 +99,19 @@ def _read_radiance(path: Path) -> RawFrame:
     image = read_image(path) if not encoded_xyz else _read_as_rgbe(path)
     if image.attributes.get("Orientation", 1) != 1:
         raise InputError(f"{path}: its rows do not run down and to the right; save it with -Y +X")
-    data = image.data @ _rgb_of_xyz().astype(np.float32).T if encoded_xyz else image.data
+    data = image.data + _half_step(image.data)
+    data = data @ _rgb_of_xyz().astype(np.float32).T if encoded_xyz else data
     exposure = np.prod([_factor(path, text) for text in re.findall(rb"^EXPOSURE=(.*)$", header, re.MULTILINE)])
     corrections = [text.split() for text in re.findall(rb"^COLORCORR=(.*)$", header, re.MULTILINE)]
     factors = np.prod([[_factor(path, each) for each in text] for text in corrections], axis=0) if corrections else 1.0
     return _frame(np.asarray(data / (exposure * factors), np.float32), {})
+
+
+def _half_step(data: Plane) -> Plane:
+    """Half of what a pixel's numbers are cut off at, 1/256 of a power of two: a value stands for the middle of its step
+    (Ward, Real Pixels, Graphics Gems II, 1991), which OpenImageIO leaves out."""
+    top = data.max(axis=-1, keepdims=True)
+    return np.where(top > 0, np.ldexp(np.float32(0.5), np.frexp(top)[1] - 8), np.float32(0)).astype(np.float32)
 
 
 def _radiance_header(path: Path) -> bytes:

@@ -222,6 +222,7 @@ class Card:
     width_px: Annotated[int | None, Key("of the picture", POSITIVE)] = None
     height_px: Annotated[int | None, Key("of the picture", POSITIVE)] = None
     orientation: Annotated[int | None, Key("by EXIF, for display; the data are never turned", POSITIVE)] = None
+    file_exposure_s: Annotated[float | None, Key("the camera's own, whatever `exposure_s` says", POSITIVE)] = None
 
 
 @dataclass(frozen=True)

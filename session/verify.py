@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from bssrdf.errors import BssrdfError
 from bssrdf.session.atomic import sha256_of
-from bssrdf.session.constancy import differences, with_cards
+from bssrdf.session.constancy import differences, exposure_faults, with_cards
 from bssrdf.session.frame_files import read_card
 from bssrdf.session.frames_csv import dark_for, read_frames
 from bssrdf.session.records import Frame
@@ -33,7 +33,7 @@ def verify_session(path: Path) -> Verified:
     """
     frames = read_frames(path, must_exist=False)
     cards = with_cards(path, frames)
-    faults = [f"{path / str(difference)}" for difference in differences(cards)]
+    faults = [f"{path / str(fault)}" for fault in (*differences(cards), *exposure_faults(cards))]
     return Verified(frames, [*_table_faults(path, cards), *_frame_faults(path, frames), *faults])
 
 

@@ -125,14 +125,19 @@ def test_a_copied_frame_is_merged_once_and_flagged(tmp_path):
     np.testing.assert_array_equal(twice.images["sample"].variance, once.images["sample"].variance)
 
 
-def test_a_sample_that_moved_is_flagged(tmp_path):
+def test_a_sample_that_moved_is_flagged_or_refused(tmp_path):
     class Moving(Bench):
+        by_px = 0.4
+
         def light(self, kind, number, repeat):
             if kind == "sample" and number >= 4:
-                return picture(gaussians, (CENTRE[0] + 1.0, CENTRE[1]))
+                return picture(gaussians, (CENTRE[0] + self.by_px, CENTRE[1]))
             return super().light(kind, number, repeat)
 
     assert "moved" in measure_session(Moving().write(tmp_path / "moved")).slice.flags
+    Moving.by_px = 2.0
+    with pytest.raises(InputError, match=r"sample_4_0\.tif: the picture moved by about [12]\.\d px"):
+        measure_session(Moving().write(tmp_path / "moved far"))
 
 
 def test_two_spots_are_flagged(tmp_path):
