@@ -195,11 +195,11 @@ def problem_of(jobs: Sequence[Job], options: Options, model: Light, aside: Neigh
     sds = tuple(_sds(each) for each in by_slice)
     totals = _totals(first, constraint)
     plan = Plan(
-        constraint=constraint,
+        totals=totals,
+        exact=constraint == "exact",
         scale_free=options.scale_free,
         robust=options.robust,
         sights=tuple(sights),
-        totals=totals,
         shared=_shared(first, sights, sds, curves, model, aside),
     )
     measured = tuple(total_of(by_slice[k], names) for k in totals)

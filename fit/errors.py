@@ -12,8 +12,21 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from bssrdf.fit.solve import Solution, elimination, keeping
-from bssrdf.fit.terms import Gaps, Plan, Problem, look, model_sd, rows_of, squares, system, totals_of, window
+from bssrdf.fit.solve import Solution
+from bssrdf.fit.terms import (
+    Gaps,
+    Plan,
+    Problem,
+    elimination,
+    keeping,
+    look,
+    model_sd,
+    rows_of,
+    squares,
+    system,
+    totals_of,
+    window,
+)
 from bssrdf.transport.arrays import Engine
 from bssrdf.transport.light import Light
 
@@ -66,10 +79,9 @@ def judge(e: Engine, plan: Plan, model: Light, data: Problem, found: Solution) -
     w2 = [squares(e, plan, model, data, at, each[0], k) for k, each in enumerate(looks)]
     used = tuple((window(e, model, c, at.log_sigma) > 0.5) & (m > 0) for c, m in zip(data.curves, by.mass, strict=True))
     n = sum(((c.known != 0).sum(2) * window(e, model, c, at.log_sigma)).sum(1) for c in data.curves)
-    p = (plan.constraint != "exact") + 1 + plan.scale_free
     in_force = [each * _rescaled(xp, each, mass) for each, mass in zip(w2, by.mass, strict=True)]
     apart = sum(_within(c.rd, w).sum(1) for c, w in zip(data.curves, in_force, strict=True))
-    chi2 = (found.stated + found.ease * apart) / xp.maximum(n + (plan.constraint == "soft") * len(plan.totals) - p, 1)
+    chi2 = (found.stated + found.ease * apart) / xp.maximum(n + plan.weighed - len(plan.free), 1)
     known = reduce(xp.logical_and, [c.errors_known[:, 0] for c in data.curves])
     grown = xp.where(known & xp.isfinite(chi2), xp.maximum(chi2, 1.0), 1.0)
 
@@ -114,9 +126,7 @@ def _answer(e: Engine, plan: Plan, totals: Gaps, matrix: Any) -> Any:
     xp = e.xp
     keeps = keeping(plan, totals)
     lift = elimination(e, keeps)[0] if keeps is not None else xp.asarray(np.eye(matrix.shape[1])[None])
-    dead = [1] if plan.constraint == "exact" else []
-    dead += [] if plan.scale_free else [2]
-    alive = np.array([k for k in range(matrix.shape[1]) if k not in dead])
+    alive = np.array([*plan.free, *range(3, matrix.shape[1])])
     short = lift[:, :, alive]
     down = xp.swapaxes(short, 1, 2)
     reduced = xp.matmul(down, xp.matmul(matrix, short))
@@ -154,7 +164,7 @@ def _by_totals(
     covariance = xp.zeros((b, 2, 2))
     for measured, law, gap, row in zip(data.totals, found.laid.total_seen, *totals, strict=True):
         value, sd = measured.r / law - gap, measured.sd
-        if plan.constraint == "exact":
+        if plan.exact:
             shift = xp.asarray(np.eye(row.shape[1])[1]) / row[:, 1:2]
             moved = shift - xp.matmul(answer, xp.matmul(matrix, shift[:, :, None]))[:, :, 0]
             error = xp.where(xp.isfinite(sd), sd, 0.0)

@@ -37,7 +37,7 @@ class Profile(NamedTuple):
 def profile(plan: Plan, model: Light, data: Problem, found: Solution, inflation: Floats) -> Profile:
     """Bounds of σa; `inflation` multiplies the variances. An R without an error fixes q = 0: then the curve alone
     bounds σa."""
-    plan = plan._replace(constraint="none") if plan.constraint == "exact" else plan
+    plan = plan.curve_alone
 
     def held(q: Floats) -> tuple[Floats, Floats, Floats]:
         """Cost and coefficients with this q and everything else at its best."""

@@ -25,9 +25,12 @@ from bssrdf.fit.terms import (
     cost_at,
     costly,
     curve,
+    elimination,
+    keeping,
     lay,
     lay_plainly,
     look,
+    meeting,
     system,
     totals_of,
     weigh,
@@ -122,12 +125,12 @@ class _State(NamedTuple):
 def start(e: Engine, plan: Plan, model: Light, data: Problem, number: int) -> tuple[Point, Any]:
     """The rough optimum from one of several places, and its misfit (b,): inf where it lost its radii."""
     few, plain = _few_of(e, plan, data)
-    if plan.constraint == "none":
-        zero = 0 * data.curves[0].spot_radius
-        qs = [zero + q for q in Q_GRID.reshape(VALLEYS, -1)[number]]
-    else:
+    if plan.totals:
         q = q_of_total(e, model, e.xp.minimum(data.totals[0].r, 1.0))
         qs = [e.xp.clip(q * ABOUT[number], 1e-6, model.q_max)]
+    else:
+        zero = 0 * data.curves[0].spot_radius
+        qs = [zero + q for q in Q_GRID.reshape(VALLEYS, -1)[number]]
     begun = _scanned(e, model, few, qs, plan.scale_free)
     laid = lay_plainly(e, plain, few, begun)
     ended = optimise(e, plain, model, few, laid, begun, ROUGH, relay=True, most=START_STEPS)
@@ -138,18 +141,16 @@ def start(e: Engine, plan: Plan, model: Light, data: Problem, number: int) -> tu
 
 def starts_of(plan: Plan) -> tuple[tuple[int, ...], tuple[int, ...]]:
     """Numbers of the starts that every problem takes, and of those for the doubtful."""
-    if plan.constraint == "exact":  # R leaves no choice of q
-        return (0,), ()
-    return (tuple(range(VALLEYS)), ()) if plan.constraint == "none" else ((0,), tuple(range(1, len(ABOUT))))
+    if not plan.totals:
+        return tuple(range(VALLEYS)), ()
+    return (0,), tuple(range(1, len(ABOUT))) if plan.weighed else ()  # a condition leaves no choice of q
 
 
 def settle(e: Engine, plan: Plan, model: Light, data: Problem, begin: Point, beside: Neighbours) -> Solution:
     """The optimum near `begin`, at rest."""
     xp = e.xp
     laid = lay(e, plan, model, data, begin, beside)
-    if plan.constraint == "exact":
-        seen = data.totals[0].r / laid.total_seen[0]
-        begin = begin._replace(q=xp.where(seen < 1, q_of_total(e, model, xp.minimum(seen, 1.0)), begin.q))
+    begin = meeting(e, plan, model, data, laid, begin)
     if not costly(plan):
         return optimise(e, plan, model, data, laid, begin, REST, relay=True, beside=beside)
 
@@ -185,7 +186,7 @@ def optimise(
     """Damped Gauss–Newton from `begin`; with `relay` the weights follow each step, with `beside` the shared responses
     too, else they stay as given."""
     xp = e.xp
-    columns = _free(plan, held_q)
+    columns = tuple(k for k in plan.free if not (held_q and k == 1))
     b = begin.q.shape[0]
     zeros = xp.zeros(b)
 
@@ -263,23 +264,6 @@ def marginal(e: Engine, plan: Plan, gaps: Gaps, full: System, columns: tuple[int
     )
 
 
-def keeping(plan: Plan, gaps: Gaps) -> tuple[Any, Any] | None:
-    """Where R is exact: what q falls by as each other parameter grows, and the q that is missing; see `Marginal`."""
-    if plan.constraint != "exact":
-        return None
-    (gap,), (row,) = gaps
-    return row / row[:, 1:2], gap / row[:, 1:2]
-
-
-def elimination(e: Engine, keeps: tuple[Any, Any]) -> tuple[Any, Any]:
-    """(b, P, P) that lifts a move of all other parameters to one that keeps R, and the (b, P) move that meets R."""
-    xp = e.xp
-    falls, missing = keeps
-    eye = np.eye(falls.shape[1])
-    unit = xp.asarray(eye[1])
-    return xp.asarray(eye) - unit[None, :, None] * falls[:, None, :], unit[None, :] * missing
-
-
 def _moved(
     e: Engine, plan: Plan, model: Light, at: Point, here: Marginal, move: Any, errors: Any, columns: tuple[int, ...]
 ) -> Point:
@@ -320,12 +304,6 @@ def _within(xp: Any, model: Light, q: Any, move: Any, here: Marginal, damping: A
 def _distance(xp: Any, a: Point, b: Point) -> Any:
     """Largest difference in any parameter, (b,)."""
     return xp.max(xp.abs(xp.concatenate(a, axis=1) - xp.concatenate(b, axis=1)), axis=1)
-
-
-def _free(plan: Plan, held_q: bool) -> tuple[int, ...]:
-    """Columns that move: s, q unless R or the caller fixes it, c where the scale is free."""
-    q = () if held_q or plan.constraint == "exact" else (1,)
-    return (0, *q, *((2,) if plan.scale_free else ()))
 
 
 def _few_of(e: Engine, plan: Plan, data: Problem) -> tuple[Problem, Plan]:

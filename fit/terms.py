@@ -28,7 +28,7 @@ from bssrdf.fit.observe import (
 )
 from bssrdf.transport import R_ZERO
 from bssrdf.transport.arrays import Engine
-from bssrdf.transport.light import KNOT_STEP, Light
+from bssrdf.transport.light import KNOT_STEP, Light, q_of_total
 
 Constraint = Literal["exact", "soft", "none"]
 Source = Literal["scale", "length", "spot", "view", "exit", "table", "eta", "g"]
@@ -61,14 +61,30 @@ class Shared(NamedTuple):
 class Plan(NamedTuple):
     """What is fixed within a batch, and compiled for."""
 
-    constraint: Constraint
+    totals: tuple[int, ...]
+    """The slice that each R belongs to; none where R does not count."""
+    exact: bool
+    """Whether R is a condition, which fixes q, and not a datum."""
     scale_free: bool
     robust: bool
     sights: tuple[Sight, ...]
     """One a slice."""
-    totals: tuple[int, ...]
-    """The slice that each total belongs to."""
     shared: tuple[Shared, ...]
+
+    @property
+    def free(self) -> tuple[int, ...]:
+        """Columns that move beside shared errors: s, q unless R fixes it, c where the scale is unknown."""
+        return (0, *(() if self.exact else (1,)), *((2,) if self.scale_free else ()))
+
+    @property
+    def weighed(self) -> int:
+        """How many R are data."""
+        return 0 if self.exact else len(self.totals)
+
+    @property
+    def curve_alone(self) -> Plan:
+        """The same without R, where R is a condition."""
+        return self._replace(totals=(), exact=False) if self.exact else self
 
 
 class Sds(NamedTuple):
@@ -219,6 +235,31 @@ def totals_of(e: Engine, data: Problem, laid: Laid, seen: Looked) -> Gaps:
     return Gaps(gaps, rows)
 
 
+def keeping(plan: Plan, totals: Gaps) -> tuple[Any, Any] | None:
+    """Where R is a condition: (b, P) what q falls by as each other parameter grows, and (b, 1) what it lacks."""
+    if not plan.exact:
+        return None
+    (gap,), (row,) = totals
+    return row / row[:, 1:2], gap / row[:, 1:2]
+
+
+def elimination(e: Engine, keeps: tuple[Any, Any]) -> tuple[Any, Any]:
+    """(b, P, P) that lifts a move of all other parameters to one that keeps R, and the (b, P) move that meets R."""
+    xp = e.xp
+    falls, missing = keeps
+    eye = np.eye(falls.shape[1])
+    unit = xp.asarray(eye[1])
+    return xp.asarray(eye) - unit[None, :, None] * falls[:, None, :], unit[None, :] * missing
+
+
+def meeting(e: Engine, plan: Plan, model: Light, data: Problem, laid: Laid, at: Point) -> Point:
+    """The point, where R is a condition with the q that meets it."""
+    if not plan.exact:
+        return at
+    seen = data.totals[0].r / laid.total_seen[0]
+    return at._replace(q=e.xp.where(seen < 1, q_of_total(e, model, e.xp.minimum(seen, 1.0)), at.q))
+
+
 def weigh(
     e: Engine, plan: Plan, model: Light, data: Problem, laid: Laid, at: Point, seen: Looked, shared: Any
 ) -> Weights:
@@ -294,29 +335,28 @@ def system(e: Engine, plan: Plan, data: Problem, laid: Laid, seen: Looked, total
         root = xp.sqrt(by.mass[k])
         rows = rows_of(e, laid, tuple(root * part for part in each), k, root * (by.mean[k] - each[0]))
         whole = whole + xp.matmul(rows, xp.swapaxes(rows, 1, 2))
-    if plan.constraint == "soft":
-        for gap, row, measured in zip(*totals, data.totals, strict=True):
-            one = xp.concatenate([row, gap], axis=1) / measured.sd
-            whole = whole + one[:, :, None] * one[:, None, :]
+    for gap, row, measured in list(zip(*totals, data.totals, strict=True))[: plan.weighed]:
+        one = xp.concatenate([row, gap], axis=1) / measured.sd
+        whole = whole + one[:, :, None] * one[:, None, :]
     return System(whole[:, size, size], whole[:, :size, size], whole[:, :size, :size] + prior(e, plan))
 
 
 def cost_at(e: Engine, plan: Plan, data: Problem, laid: Laid, seen: Looked, by: Weights) -> Any:
     """The objective (b,) with shared errors at their best; where R is exact, at the q near by that meets it."""
     xp = e.xp
-    gaps, rows = totals_of(e, data, laid, seen)
+    gaps, rows = totals = totals_of(e, data, laid, seen)
+    keeps = keeping(plan, totals)
     whole: Any = 0.0
     for k, (value, _, by_q) in enumerate(seen.curves):
         parts = [*(value * each for each in _by_error(laid.responses[k])), by.mean[k] - value]
-        if plan.constraint == "exact":
-            away = xp.concatenate([rows[0][:, 3:], gaps[0]], axis=1) / rows[0][:, 1:2]
+        if keeps is not None:
+            away = xp.concatenate([keeps[0][:, 3:], keeps[1]], axis=1)
             parts = [part - by_q * away[:, j : j + 1] for j, part in enumerate(parts)]
         stacked = xp.stack(parts, axis=1) * xp.sqrt(by.mass[k])[:, None, :]
         whole = whole + xp.matmul(stacked, xp.swapaxes(stacked, 1, 2))
-    if plan.constraint == "soft":
-        for gap, row, each in zip(gaps, rows, data.totals, strict=True):
-            one = xp.concatenate([row[:, 3:], gap], axis=1) / each.sd
-            whole = whole + one[:, :, None] * one[:, None, :]
+    for gap, row, each in list(zip(gaps, rows, data.totals, strict=True))[: plan.weighed]:
+        one = xp.concatenate([row[:, 3:], gap], axis=1) / each.sd
+        whole = whole + one[:, :, None] * one[:, None, :]
     if not plan.shared:
         return whole[:, 0, 0]
     fall = whole[:, :-1, -1]

@@ -71,7 +71,7 @@ def needs_profile(fitted: Fitted) -> NDArray[np.bool_]:
     """Rows whose linear errors do not describe σa: at its boundary, or near it where R is not an exact condition."""
     q = fitted.found.point.q[:, 0]
     q_sd = np.sqrt(covariances(fitted)[:, 1, 1])
-    if fitted.plan.constraint == "exact":
+    if fitted.plan.exact:
         return (q < 1e-6) & ~(q_sd > 0)
     return ~(q > PARABOLIC * q_sd)
 
@@ -262,7 +262,7 @@ def _flags(fitted: Fitted, extra: Extra, row: int, interval: Interval, rel_sd: f
         Flag.SIGMA_A_UNIDENTIFIABLE: not np.isfinite(interval[1]),
         Flag.SINGLE_SCATTERING: dipole and q > np.sqrt(1.5),
         Flag.SPOT_WIDE: any((p.spot_radius_mm or 0.0) * sigma_tp > 1 for p in pieces),
-        Flag.TOTAL_AT_LIMIT: plan.constraint != "none" and any(r >= 1 for r in totals),
+        Flag.TOTAL_AT_LIMIT: bool(plan.totals) and any(r >= 1 for r in totals),
         Flag.TOTAL_INCONSISTENT: abs(float(judged.pull[row])) > MOST_PULL + own_pull,
         Flag.TOTAL_UNKNOWN: all(np.isnan(totals)),
         Flag.WINDOW_SHORT: end * max(q, 0.0) * sigma_tp < 1,

@@ -13,9 +13,8 @@ from scipy.optimize import least_squares
 from bssrdf.errors import InputError
 from bssrdf.fit.run import FitOptions, fit_slice, fit_slices
 from bssrdf.session.records import ChannelFit, ChannelSlice, Slice
-from bssrdf.transport import dipole
+from bssrdf.transport import dipole, light
 from bssrdf.transport.dipole import Medium
-from bssrdf.transport.forward import DipoleModel
 from bssrdf.transport.materials import CHANNELS, load_materials
 
 CELLS = [(name, channel) for name in load_materials() for channel in CHANNELS]
@@ -95,7 +94,7 @@ def test_the_optimum_is_that_of_scipy(constraint: str) -> None:
 
     with jax.enable_x64(True):
         found = Medium(fit.sigma_a_per_mm, fit.sigma_sp_per_mm, 1.5)
-        allowance = DipoleModel(1.5).relative_error * np.asarray(dipole.rd(found, channel.r_mm))
+        allowance = light.dipole(1.5).relative_error * np.asarray(dipole.rd(found, channel.r_mm))
     sd = np.hypot(channel.sd_per_mm2, allowance)
 
     def residual(x: np.ndarray) -> np.ndarray:

@@ -54,16 +54,6 @@ class ForwardModel(Protocol):
         """Radii in mean free paths 1/σt′ between which a fit may trust it."""
         ...
 
-    @property
-    def relative_error(self) -> float:
-        """How far its curve may be off at a typical radius: what a radius's weight in a fit allows for."""
-        ...
-
-    @property
-    def exit_error_mfp(self) -> float:
-        """How far its radiance across the view may be off relative to that, times the radius in mean free paths."""
-        ...
-
     def rd(self, medium: Medium, r: Real) -> Float[Array, "..."]:
         """R_d(r) [1/mm²]."""
         ...
@@ -101,14 +91,6 @@ class DipoleModel(NamedTuple):
     @property
     def window_mfp(self) -> tuple[float, float]:
         return (1.0, 24.0)
-
-    @property
-    def relative_error(self) -> float:
-        return 0.05
-
-    @property
-    def exit_error_mfp(self) -> float:
-        return 0.0  # nothing beside its other errors
 
     def rd(self, medium: Medium, r: Real) -> Float[Array, "..."]:
         return dipole.rd(medium, r)

@@ -35,14 +35,6 @@ class TableModel(Coefficients):
     def window_mfp(self) -> tuple[float, float]:
         return (0.0, R_MAX)
 
-    @property
-    def relative_error(self) -> float:
-        return 0.003
-
-    @property
-    def exit_error_mfp(self) -> float:
-        return 0.008  # docs/white-tables.md
-
     def rd(self, medium: Medium, r: Real) -> Float[Array, "..."]:
         """R_d(r) [1/mm²]; raises InputError outside the table where the values are known."""
         from bssrdf.transport.white import light
