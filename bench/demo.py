@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from bssrdf.errors import BssrdfError
+from bssrdf.report import wrapped
 from bssrdf.rig import BRACKET_S, SCALE_REL_SD, TILE_SD, BenchScene, published_sample, simulated_bench, white_tile
 from bssrdf.transport import CHANNELS, find_material
 
@@ -82,7 +83,7 @@ class DemoCell:
 
 
 def run_demo(out: Path, *, seed: int = SEED, progress: Callable[[str], None] | None = None) -> str:
-    """Film every material into `out` through `bssrdf capture`, measure and fit them, and return the table.
+    """Film every material into `out` through `bssrdf capture`, measure, fit and report on them; return the table.
 
     `seed` draws the errors of scale and tile, within those that are stated.
 
@@ -97,7 +98,10 @@ def run_demo(out: Path, *, seed: int = SEED, progress: Callable[[str], None] | N
     with ThreadPoolExecutor(2) as pool:
         fits = pool.map(lambda model: _fit(sessions, model), MODELS)
         cells = [cell for fitted in fits for cell in fitted]
-    table = "\n".join([LIGHT, "", *table_lines(cells), "", *summary_lines(cells), ""])
+    say("report")
+    with ThreadPoolExecutor(2) as pool:
+        list(pool.map(lambda session: _command("report", session), sessions))
+    table = "\n".join([wrapped([LIGHT], indent=""), *table_lines(cells), "", wrapped(summary_lines(cells)), ""])
     (out / "table.md").write_text(table, encoding="utf-8")
     (out / "table.json").write_text(json.dumps([asdict(cell) for cell in cells], indent=1) + "\n", encoding="utf-8")
     return table
@@ -133,7 +137,8 @@ def _film(out: Path, name: str, seed: int, say: Callable[[str], None]) -> Path:
 
 def _fit(sessions: Sequence[Path], model: str) -> list[DemoCell]:
     names = list(MM_PER_PX)
-    lines = _command("fit", *MODELS[model], "--json", *(session / "measured/slice.csv" for session in sessions))
+    inputs = sessions if model == "mc" else [session / "measured/slice.csv" for session in sessions]
+    lines = _command("fit", *MODELS[model], "--json", *inputs)
     return [
         cell
         for name, line in zip(names, lines.splitlines(), strict=True)
@@ -173,23 +178,34 @@ def _command(*arguments: object) -> str:
 
 
 def table_lines(cells: Sequence[DemoCell]) -> list[str]:
-    """One line per channel: published, recovered by the table model, its error and interval; the dipole's error."""
+    """By coefficient, one line per channel: published, recovered by the table model, its error and interval; the
+    dipole's error."""
     found = {(cell.material, cell.channel, cell.quantity, cell.model): cell for cell in cells}
-    head = ["material", ""]
-    for symbol in ("σs′", "σa"):
-        head += [f"{symbol} published", "mc", "error", "95 %", "dipole"]
-    lines = ["| " + " | ".join([*head, "flags"]) + " |", "|---|---|" + "---:|" * 10 + "---|"]
-    for name, channel in dict.fromkeys((cell.material, cell.channel) for cell in cells):
-        line = [name, channel]
-        for quantity in ("sigma_sp", "sigma_a"):
-            cell = found[name, channel, quantity, "mc"]
+    channels = dict.fromkeys((cell.material, cell.channel) for cell in cells)
+    lines = []
+    for quantity, symbol in (("sigma_sp", "σs′"), ("sigma_a", "σa")):
+        lines += ["", _line("material", f"{symbol}, 1/mm", "mc", "error", "95 %", "dipole"), _RULE]
+        for name, channel in channels:
+            cell, dipole = (found[name, channel, quantity, model] for model in MODELS)
             interval = f"{_value(cell.low)}–{_value(cell.high)}{'' if cell.holds else ' ✗'}"
-            dipole = found[name, channel, quantity, "dipole"]
-            shown = f"{cell.published:g}" if cell.given == cell.published else f"{cell.published:g} ({cell.given:.2g})"
-            line += [shown, _value(cell.recovered), _percent(cell.error), interval]
-            line.append(_percent(dipole.error))
-        lines.append("| " + " | ".join([*line, " ".join(found[name, channel, "sigma_sp", "mc"].flags)]) + " |")
+            published = f"{cell.published:g}{'' if cell.given == cell.published else '*'}"
+            errors = _percent(cell.error), interval, _percent(dipole.error)
+            lines.append(_line(f"{name} {channel}", published, _value(cell.recovered), *errors))
+    given = [cell for cell in cells if cell.given != cell.published]
+    if given:
+        values = ", ".join(sorted({f"{cell.given:.2g}" for cell in given}))
+        lines += ["", f"* given {values}; ✗: the interval misses what was given."]
     return lines
+
+
+_WIDTHS = (12, 8, 8, 7, 19, 7)
+_RULE = "|" + "|".join("-" * (width + 2) for width in _WIDTHS) + "|"
+
+
+def _line(*cells: str) -> str:
+    """A line of the table, as wide as a terminal."""
+    name, *numbers = (cell.rjust(width) for cell, width in zip(cells, _WIDTHS, strict=True))
+    return f"| {' | '.join([name.strip().ljust(_WIDTHS[0]), *numbers])} |"
 
 
 def summary_lines(cells: Sequence[DemoCell]) -> list[str]:

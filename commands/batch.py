@@ -28,7 +28,10 @@ def warn_of(lines: Sequence[str], rest: str) -> None:
 @click.option("--fits", is_flag=True, help="Take the fit.json of sessions and folders, not their slices.")
 @force_option
 def convert(inputs: tuple[Path, ...], out: Path, fits: bool, force: bool) -> None:
-    """Slices or fits from CSV or JSON to one Parquet file, or from Parquet to a file for each."""
+    """Slices or fits to one Parquet file, and back.
+
+    From CSV or JSON, or from Parquet to a file for each.
+    """
     from bssrdf.batch import from_parquet, is_parquet, to_parquet
     from bssrdf.report import steps
 

@@ -203,4 +203,4 @@ def demo(out: Path, seed: int, force: bool) -> None:
     folder = fresh(out, force)
     with stages("demo", quiet=is_quiet()) as progress:
         text = run_demo(folder, seed=seed, progress=progress)
-    click.echo(text)
+    click.echo(f"{text}\n{folder}/*/report.html: a page on each")

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from bssrdf.report.table import published_table as published_table
     from bssrdf.report.text import fit_text as fit_text
     from bssrdf.report.text import measured_text as measured_text
+    from bssrdf.report.text import wrapped as wrapped
     from bssrdf.report.validation import Check as Check
     from bssrdf.report.validation import draw_validation as draw_validation
     from bssrdf.report.validation import validate as validate

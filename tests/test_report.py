@@ -10,6 +10,7 @@ from dataclasses import replace
 
 import pytest
 
+from bssrdf.bench.demo import DemoCell, table_lines
 from bssrdf.report.progress import stages, steps
 from bssrdf.report.table import combine, fits_table, format_rows
 from bssrdf.report.text import fit_text
@@ -147,3 +148,17 @@ def test_repeats_without_errors_are_averaged_and_their_spread_is_the_error() -> 
     assert (combined.n, combined.mean) == (2, 2.0)
     assert combined.sd == pytest.approx(1.0)
     assert combine([], []).n == 0
+
+
+def test_the_table_of_the_demonstration_fits_a_terminal() -> None:
+    widest = DemoCell(
+        "Spectralon", "G", "sigma_a", "mc", 0.0041, 6.9e-05, 7.91e-05, 7.19e-05, 8.69e-05, "converged", ()
+    )
+    cells = [
+        replace(widest, quantity=quantity, model=model)
+        for quantity in ("sigma_sp", "sigma_a")
+        for model in ("mc", "dipole")
+    ]
+    lines = table_lines(cells)
+    assert max(map(len, lines)) <= 80
+    assert "7.19e-05–8.69e-05 ✗" in "".join(lines)
