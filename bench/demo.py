@@ -184,7 +184,7 @@ def table_lines(cells: Sequence[DemoCell]) -> list[str]:
     channels = dict.fromkeys((cell.material, cell.channel) for cell in cells)
     lines = []
     for quantity, symbol in (("sigma_sp", "σs′"), ("sigma_a", "σa")):
-        lines += ["", _line("material", f"{symbol}, 1/mm", "mc", "error", "95 %", "dipole"), _RULE]
+        lines += ["", _line("material", f"{symbol} 1/mm", "mc", "error", "95 %", "dipole"), _RULE]
         for name, channel in channels:
             cell, dipole = (found[name, channel, quantity, model] for model in MODELS)
             interval = f"{_value(cell.low)}–{_value(cell.high)}{'' if cell.holds else ' ✗'}"

@@ -176,7 +176,10 @@ def render(out: Path | None, force: bool, materials: tuple[str, ...], scenes: tu
 @click.option("--material", "materials", multiple=True, help="Only this one; may be given again.")
 @click.option("--quick", is_flag=True, help="Few samples, to see that it works.")
 def export(out: Path | None, force: bool, pythons: tuple[Path, ...], materials: tuple[str, ...], quick: bool) -> None:
-    """Render exported files in Cycles and Mitsuba: total R and a shadow's edge against the measured medium's."""
+    """Render exported files in Cycles and Mitsuba.
+
+    Total R and a shadow's edge against the measured medium's.
+    """
     from dataclasses import replace
 
     from bssrdf.bench.export import QUICK, Effort, run_export_bench, table
