@@ -1,4 +1,4 @@
-"""What all tests share: JAX checks that ranks are broadcast on purpose, and the data that lie beside the checkout."""
+"""What all tests share: JAX checks that ranks are broadcast on purpose, and what is costly to set up."""
 
 from __future__ import annotations
 
@@ -15,8 +15,6 @@ import jax
 import pytest
 from simulated_chip import Chip, built
 
-SHARED = Path(__file__).resolve().parents[2] / "shared" / "data"
-
 
 @pytest.fixture(autouse=True)
 def _ranks_are_broadcast_on_purpose() -> Iterator[None]:
@@ -31,14 +29,6 @@ def x64() -> Iterator[None]:
         yield
 
 
-@pytest.fixture(scope="session")
-def shared_data() -> Path:
-    """Real and independent data beside the checkout; the test is skipped where they are absent."""
-    if not SHARED.is_dir():
-        pytest.skip("the shared data folder does not lie beside this checkout")
-    return SHARED
-
-
 @pytest.fixture(scope="module")
 def renderer() -> None:
     """Mitsuba, ready; the test is skipped where it is not usable."""
@@ -49,6 +39,23 @@ def renderer() -> None:
         use_variant()
     except BssrdfError as error:
         pytest.skip(str(error))
+
+
+@pytest.fixture
+def mitsuba_mono() -> Iterator[None]:
+    """Mitsuba of one channel with our plugins; the test is skipped where no variant of it runs."""
+    import warnings
+
+    from bssrdf.render.integrator import register
+    from bssrdf.render.variant import ADVICE, find_backend, use_variant
+
+    if find_backend() is None:
+        pytest.skip(ADVICE)
+    use_variant("mono")
+    register()
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "shape .* is open", UserWarning)
+        yield
 
 
 @pytest.fixture(scope="session")

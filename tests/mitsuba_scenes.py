@@ -1,0 +1,127 @@
+"""Small scenes and rays for Mitsuba, and what closed forms say of them."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy import stats
+
+pytest.importorskip("mitsuba", reason='Mitsuba is not installed: pip install "bssrdf[render]"')
+
+import drjit as dr
+import mitsuba as mi
+
+from bssrdf.transport import dipole, single
+from bssrdf.transport.fresnel import fresnel_t
+from bssrdf.transport.materials import PublishedMaterial
+from bssrdf.transport.precision import scoped_x64
+
+Floats = NDArray[np.float64]
+
+
+MARBLE = {"sigma_a": 0.0041, "sigma_sp": 2.62, "eta": 1.5}
+SKY = {"type": "constant"}
+VIEW = 0.8
+"""Cosine of the viewing angle."""
+
+
+def plane(half: float = 500.0) -> dict[str, Any]:
+    return {"type": "rectangle", "to_world": mi.ScalarTransform4f().scale([half, half, 1])}
+
+
+def scene_of(medium: dict[str, Any], shape: dict[str, Any] | None = None, **others: Any) -> Any:
+    body = (shape or plane()) | {"bsdf": {"type": "bssrdf_medium", **medium}}
+    return mi.load_dict({"type": "scene", "body": body, **others})
+
+
+def sampler(n: int, seed: int) -> Any:
+    made = mi.load_dict({"type": "independent"})
+    made.seed(seed, n)
+    return made
+
+
+def radiance(scene: Any, ray: Any, n: int, seed: int = 0, **options: Any) -> tuple[Floats, Floats]:
+    """Mean over n samples of the rays, and its standard error, by channel."""
+    integrator = mi.load_dict({"type": "bssrdf", **options})
+    value, _, _ = integrator.sample(scene, sampler(n, seed), ray)
+    values = np.array(value, np.float64)
+    return values.mean(axis=1), values.std(axis=1) / math.sqrt(n)
+
+
+def towards_origin(n: int, mu: float = VIEW) -> Any:
+    direction = mi.Vector3f(math.sqrt(1 - mu * mu), 0, -mu)
+    return mi.Ray3f(dr.zeros(mi.Point3f, n) - 5 * direction, direction)
+
+
+def around(scene_radius: float, n: int, seed: int = 9) -> Any:
+    """Parallel rays through the disk of that radius about the origin."""
+    place = mi.warp.square_to_uniform_disk(sampler(n, seed).next_2d()) * (0.9 * scene_radius)
+    return mi.Ray3f(mi.Point3f(place.x, place.y, 4 * scene_radius), mi.Vector3f(0, 0, -1))
+
+
+def leaving_annulus(r_lo: float, r_hi: float, n: int, seed: int) -> Any:
+    """Rays onto the plane z = 0 whose mean radiance, times π, is the exitance of the annulus."""
+    numbers = sampler(n, seed)
+    low, high = dr.opaque(mi.Float, r_lo), dr.opaque(mi.Float, r_hi)
+    radius = dr.sqrt(dr.lerp(low * low, high * high, numbers.next_1d()))
+    sin_phi, cos_phi = dr.sincos(2 * math.pi * numbers.next_1d())
+    direction = mi.warp.square_to_cosine_hemisphere(numbers.next_2d())
+    return mi.Ray3f(mi.Point3f(radius * cos_phi, radius * sin_phi, 0) + 0.01 * direction, -direction)
+
+
+def beam(radius: float) -> dict[str, Any]:
+    """One unit of flux within `radius` of the origin, along the normal."""
+    distance = 80 * radius
+    angle = math.degrees(math.atan(radius / distance))
+    return {
+        "type": "spot",
+        "to_world": mi.ScalarTransform4f().look_at([0, 0, distance], [0, 0, 0], [0, 1, 0]),
+        "intensity": (distance / radius) ** 2 / math.pi,
+        "cutoff_angle": angle,
+        "beam_width": 0.9999 * angle,
+    }
+
+
+def even_single(sigma_a: float, sigma_sp: float, g: float, eta: float, mu: float) -> float:
+    """Radiance by single scattering of a plane under light of radiance 1 from everywhere."""
+    nodes, weights = np.polynomial.legendre.leggauss(48)
+    u = (1 + nodes) / 2
+    cos_i, phi = np.meshgrid(u * u, (np.arange(48) + 0.5) * math.tau / 48, indexing="ij")
+    sin_i = np.sqrt(1 - cos_i**2)
+    w_i = np.stack([sin_i * np.cos(phi), sin_i * np.sin(phi), cos_i], axis=-1)
+    w_o = np.broadcast_to([-math.sqrt(1 - mu * mu), 0, mu], w_i.shape)
+    value = scoped_x64(single.outgoing_radiance)(sigma_sp / (1 - g), sigma_a, g, eta, w_i, w_o)
+    return float(math.tau * np.sum((np.asarray(value) * cos_i).mean(axis=1) * u * weights))
+
+
+def even_light(material: PublishedMaterial, channel: int, mu: float) -> float:
+    """Closed form of all terms under light of radiance 1 from everywhere."""
+    sigma_a, sigma_sp = material.sigma_a_per_mm[channel], material.sigma_sp_per_mm[channel]
+    transmitted = float(fresnel_t(material.eta, mu))
+    diffuse = float(dipole.total_r(dipole.Medium(sigma_a, sigma_sp, material.eta)))
+    return 1 - transmitted + transmitted * diffuse + even_single(sigma_a, sigma_sp, 0.0, material.eta, mu)
+
+
+def across_spot(r_lo: float, r_hi: float, spot: float, log2_n: int = 17) -> Floats:
+    """Distances between points of an annulus and points of an evenly lit disk in its middle."""
+    u = stats.qmc.Sobol(3, seed=0).random_base2(log2_n).T
+    r, offset = np.sqrt(r_lo**2 + (r_hi**2 - r_lo**2) * u[0]), spot * np.sqrt(u[1])
+    return np.hypot(r - offset * np.cos(math.tau * u[2]), offset * np.sin(math.tau * u[2]))
+
+
+def beam_reference(edges: Floats, spot: float) -> Floats:
+    """Dipole plus single scattering, of the flux that entered, spread over the spot; mean over each annulus."""
+    medium = dipole.Medium(**MARBLE)
+    grid = np.geomspace(1e-3, 40, 2000)
+    first = scoped_x64(single.first_order_rd)(MARBLE["sigma_sp"], MARBLE["sigma_a"], 0.0, MARBLE["eta"], grid)
+    profile = np.asarray(scoped_x64(dipole.rd)(medium, grid)) + np.asarray(first)
+    means = [
+        np.exp(np.interp(np.log(across_spot(low, high, spot)), np.log(grid), np.log(profile))).mean()
+        for low, high in itertools.pairwise(edges)
+    ]
+    return float(fresnel_t(MARBLE["eta"], 1.0)) * np.array(means)
