@@ -21,7 +21,11 @@ EARLIER = 5
 def appended(path: Path, ratios: Mapping[str, float]) -> list[str]:
     """Add a line with commit, time and ratios to `path`; a remark on each ratio that has fallen below earlier runs."""
     before = read_ratios(path)[-EARLIER:]
-    line = {"commit": commit(), "utc": datetime.now(UTC).isoformat(timespec="seconds"), "ratios": dict(ratios)}
+    line = {
+        "commit": commit(),
+        "utc": datetime.now(UTC).isoformat(timespec="seconds"),
+        "ratios": {name: round(ratio, 3) for name, ratio in ratios.items()},
+    }
     try:
         with path.open("a", encoding="utf-8") as stream:
             stream.write(json.dumps(line) + "\n")

@@ -2,17 +2,114 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import jax
 import numpy as np
+import pytest
+import tifffile
 from numpy.typing import NDArray
 
+from bssrdf.rig.sim.light import seen_light
+from bssrdf.rig.sim.media import SampleMedium
 from bssrdf.session.records import ChannelSlice, Slice
 from bssrdf.transport.dipole import Medium
 from bssrdf.transport.forward import ForwardModel
 
 Floats = NDArray[np.float64]
+
+FIXTURES = Path(__file__).parent / "fixtures"
+SHARED = Path(__file__).resolve().parents[2] / "shared" / "data"
+"""Real and independent data beside the checkout, which a public clone lacks."""
+OF_TWO_CODES = [f"{code}/{name}" for code in ("walk", "mcml") for name in ("marbleG_g0", "skin1G_g0.8", "ketchupR_g0")]
+"""Curves that share no line with the package: those of `literal_walk`, and the same media by MCML where it is."""
+
+
+@dataclass(frozen=True)
+class Curve:
+    """Means of R_d [1/mm²] over rings, with standard errors, and R; per entering flux."""
+
+    sigma_a: float
+    sigma_sp: float
+    eta: float
+    g: float
+    r_lo: Floats
+    r_hi: Floats
+    rd: Floats
+    se: Floats
+    total_r: float
+
+
+def curve_file(name: str) -> Path:
+    """One of OF_TWO_CODES; the test is skipped where the file is absent."""
+    code, medium = name.split("/")
+    path = (FIXTURES if code == "walk" else SHARED / "mc") / f"{medium}.csv"
+    if not path.exists():
+        pytest.skip(f"{path} is not here")
+    return path
+
+
+def real_data(name: str) -> Path:
+    """A folder of SHARED; the test is skipped where it is absent."""
+    if not (SHARED / name).is_dir():
+        pytest.skip(f"{SHARED / name} is not here")
+    return SHARED / name
+
+
+def curve(name: str) -> Curve:
+    path = curve_file(name)
+    text = path.read_text(encoding="utf-8")
+    sigma_sp, sigma_a, eta, g, total_r = (
+        float(text.split(f"{key}=")[1].split()[0].removesuffix("/mm"))
+        for key in ("sigma_s_prime", "sigma_a", " eta", " g", "total_R_entering")
+    )
+    return Curve(sigma_a, sigma_sp, eta, g, *np.loadtxt(path, delimiter=",", skiprows=5).T, total_r)
+
+
+def curve_slice(of: Curve, *, least_sd: float = 0.005, **keys: Any) -> Slice:
+    """A slice of the curve, each ring known to its own error and `least_sd`; `keys` as in `slice_of`."""
+    sd = np.hypot(of.se / of.rd, least_sd)
+    seen = of.rd > 0
+    lo, hi, rd, sd = (each[seen] for each in (of.r_lo, of.r_hi, of.rd, sd))
+    medium = {"eta": of.eta, "g": of.g, "total_r": of.total_r, "total_sd": 0.001}
+    return slice_of((lo + hi) / 2, rd, edges=(lo, hi), sd=sd, **{**medium, **keys})
+
+
+def seen_slice(sigma_a: float, sigma_sp: float, **keys: Any) -> Slice:
+    """The bench's light of a medium of η 1.3 as a camera at 45° sees it across the view."""
+    light = seen_light(SampleMedium(sigma_a, sigma_sp, 1.3), 45.0, photons=1, seed=1)
+    assert light.harmonics is not None
+    edges, across = light.r_edges_mm, 1 + np.cos(np.arange(1, 13) * np.pi / 2) @ light.harmonics
+    used = (edges[:-1] * (sigma_a + sigma_sp) > 0.7) & (light.beyond[1:] > 1e-4 * light.total)
+    lo, hi = edges[:-1][used], edges[1:][used]
+    rd = (-np.diff(light.beyond) * across)[used] / (np.pi * (hi**2 - lo**2))
+    keys = {"flux": "incident", "exit": "fresnel", "g": 0.0, **keys}
+    return slice_of((lo + hi) / 2, rd, edges=(lo, hi), total_r=light.total, **keys)
+
+
+def changed(
+    piece: Slice,
+    *,
+    r: float = 1.0,
+    rd: Floats | float = 1.0,
+    sd: Floats | float | None = None,
+    total_r: float = 1.0,
+    **keys: Any,
+) -> Slice:
+    """The slice with radii, values, errors and R multiplied, errors with their values where nothing is said of them."""
+    part = piece.channels["G"]
+    edges = {key: None if (at := getattr(part, key)) is None else at * r for key in ("r_mm", "r_lo_mm", "r_hi_mm")}
+    sds = part.sd_per_mm2 * (rd if sd is None else sd)
+    channel = replace(part, **edges, rd_per_mm2=part.rd_per_mm2 * rd, sd_per_mm2=sds)
+    totals = {name: value * total_r for name, value in piece.total_r.items()}
+    return replace(piece, **{"channels": {"G": channel}, "total_r": totals, **keys})
+
+
+def with_rd(piece: Slice, rd: Floats) -> Slice:
+    """The slice with other values and the same errors."""
+    return replace(piece, channels={"G": replace(piece.channels["G"], rd_per_mm2=rd)})
 
 
 def slice_of(
@@ -56,3 +153,27 @@ def model_light(model: ForwardModel, sigma_a: float, sigma_sp: float, r_mm: Floa
     with jax.enable_x64(True):
         medium = Medium(sigma_a, sigma_sp, float(model.eta))
         return np.asarray(model.rd(medium, r_mm)), float(model.total(medium))
+
+
+BENT_MS = (25, 50, 100, 250, 500, 2000, 3916)
+
+
+def bent_bracket(folder: Path, wavelength_nm: int, *, bend: float = 0.04, down: bool = True) -> None:
+    """A bracket of a camera like the Flea3 of SHARED, with two darks each: 8 bits, rounded `down` or to the next, cut
+    off at black, a response that bends by `bend` over the range. Light falls over two decades from left to right."""
+    rng = np.random.default_rng(wavelength_nm)
+    shape, gain, span = (172, 204), 25.0, 255.0
+    y, x = np.mgrid[: shape[0], : shape[1]]
+    e_per_s = 0.8 * span * gain / 0.025 * 10 ** (-2.2 * x / shape[1]) * (1 + 0.1 * np.sin(y / 7))
+    for name, light in (("frames", e_per_s), ("darks", 0 * e_per_s)):
+        (folder / name).mkdir(exist_ok=True, parents=True)
+        for ms in BENT_MS:
+            for repeat in range(1 if name == "frames" else 2):
+                electrons = rng.poisson(light * ms / 1000) + rng.normal(0, 10, shape)
+                straight = electrons / gain
+                shown = straight.copy()
+                for _ in range(20):
+                    shown = straight / (1 + bend / span * (shown - span / 2))
+                dn = np.clip(np.floor(shown) if down else np.rint(shown), 0, 255).astype(np.uint8)
+                kind = f"{wavelength_nm}nm" if name == "frames" else f"dark{repeat}"
+                tifffile.imwrite(folder / name / f"d1_{kind}_{ms}ms_0.tif", dn)

@@ -10,6 +10,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from builders import OF_TWO_CODES, curve_file
 
 from bssrdf.cli import cli
 from bssrdf.commands.console import run
@@ -31,12 +32,9 @@ def convert(source: Path, folder: Path) -> Path:
     return out
 
 
-def test_curves_from_elsewhere_are_converted_and_fitted(
-    shared_data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_curves_from_elsewhere_are_converted_and_fitted(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """On exact light of marble the dipole of 2001 is off by +2 ± 2 % in σs′ and −7 ± 4 % in σa."""
-    slices = [convert(source, tmp_path) for source in sorted((shared_data / "mc").glob("*.csv"))]
-    assert slices
+    slices = [convert(source, tmp_path) for source in map(curve_file, OF_TWO_CODES[:3])]
     options = ["--model", "dipole", "--constraint", "exact", "--json"]
     assert run(cli, ["fit", *map(str, slices), *options]) == 0
     fits = {Path(fit["input"]["path"]).stem: fit for fit in map(json.loads, capsys.readouterr().out.splitlines())}

@@ -1,11 +1,11 @@
 """Monte Carlo walk: against deterministic totals, an independent code's curves, and single scattering."""
 
 import threading
-from pathlib import Path
 
 import jax
 import numpy as np
 import pytest
+from builders import OF_TWO_CODES, curve
 
 from bssrdf.errors import InputError
 from bssrdf.transport.discrete_ordinates import decay_constant, half_space
@@ -14,7 +14,6 @@ from bssrdf.transport.exit_radiance import N_MU, angle_weights
 from bssrdf.transport.photon import stream_states
 from bssrdf.transport.single import first_order_bin_average, first_order_total
 
-DATA = Path(__file__).parent.parent.parent / "shared" / "data" / "mc"
 NORMAL = np.array([1.0])
 
 
@@ -140,25 +139,14 @@ def test_all_light_is_somewhere_without_absorption():
     assert under_air.total_r()[0] > tally.total_r()[0]
 
 
-@pytest.mark.parametrize(
-    ("name", "sigma_a", "sigma_sp", "g", "eta", "n_photons"),
-    [
-        ("marbleG_g0", 0.0041, 2.62, 0.0, 1.5, 150_000),
-        ("skin1G_g0.8", 0.17, 0.88, 0.8, 1.3, 120_000),
-        ("ketchupR_g0", 0.061, 0.18, 0.0, 1.3, 300_000),
-    ],
-)
-def test_the_curve_agrees_with_an_independent_code(name, sigma_a, sigma_sp, g, eta, n_photons):
-    path = DATA / f"{name}.csv"
-    if not path.exists():
-        pytest.skip(f"{path} is not here")
-    rows = np.array(
-        [[float(x) for x in line.split(",")] for line in path.read_text().splitlines() if line[:1].isdigit()]
-    )
-    edges = np.append(rows[:, 0], rows[-1, 1])
-    medium = MonteCarloMedium.reduced(sigma_a, sigma_sp, g, eta)
+@pytest.mark.parametrize("name", OF_TWO_CODES)
+def test_the_curve_agrees_with_an_independent_code(name):
+    known = curve(name)
+    n_photons = {1.5: 150_000, 1.3: 120_000 if known.g else 300_000}[known.eta]
+    edges = np.append(known.r_lo, known.r_hi[-1])
+    medium = MonteCarloMedium.reduced(known.sigma_a, known.sigma_sp, known.g, known.eta)
     value, error = simulate(medium, r_edges_mm=edges, n_photons=n_photons, seed=1).rd()
-    z = (value - rows[:, 2]) / np.hypot(error, rows[:, 3])
+    z = (value - known.rd) / np.hypot(error, known.se)
     assert np.mean(np.abs(z) < 3.5) >= 0.95
     assert np.mean(z**2) < 1.5
 

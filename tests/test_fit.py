@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import jax
 import numpy as np
 import pytest
+from builders import OF_TWO_CODES, changed, curve, curve_slice, model_slice
 from scipy.optimize import least_squares
 
 from bssrdf.errors import InputError
 from bssrdf.fit.run import FitOptions, fit_slice, fit_slices
-from bssrdf.session.records import ChannelFit, ChannelSlice, Slice
+from bssrdf.session.records import ChannelFit, Slice
 from bssrdf.transport import dipole, light
 from bssrdf.transport.dipole import Medium
+from bssrdf.transport.forward import DipoleModel
 from bssrdf.transport.materials import CHANNELS, load_materials
 
 CELLS = [(name, channel) for name in load_materials() for channel in CHANNELS]
@@ -22,31 +23,9 @@ CELLS = [(name, channel) for name in load_materials() for channel in CHANNELS]
 
 def dipole_slice(medium: Medium, seed: int, *, noise: float = 0.01, total_sd: float = 0.0) -> Slice:
     """A curve of the dipole from 1 to 30 mean free paths with relative noise, and its exact total."""
-    rng = np.random.default_rng(seed)
-    with jax.enable_x64(True):
-        r_mm = np.linspace(1, 30, 200) / float(medium.sigma_tp)
-        rd = np.asarray(dipole.rd(medium, r_mm))
-        total_r = float(dipole.total_r(medium))
-    return Slice(
-        channels={"G": ChannelSlice(r_mm, rd * (1 + noise * rng.standard_normal(200)), noise * rd)},
-        eta=float(medium.eta),
-        flux="entering",
-        exit="hemisphere",
-        total_r={"G": total_r},
-        total_r_sd={"G": total_sd} if total_sd else {},
-    )
-
-
-def monte_carlo_slice(folder: Path, name: str, eta: float, total_r: float) -> Slice:
-    """One of the shared Monte Carlo curves, with errors that are the same fraction of every value."""
-    r_lo, r_hi, rd, _ = np.loadtxt(folder / "mc" / f"{name}.csv", delimiter=",", skiprows=5).T
-    return Slice(
-        channels={"G": ChannelSlice((r_lo + r_hi) / 2, rd, 0.01 * rd, r_lo, r_hi)},
-        eta=eta,
-        flux="entering",
-        exit="hemisphere",
-        total_r={"G": total_r},
-    )
+    sigmas, r_mfp = (float(medium.sigma_a), float(medium.sigma_sp)), np.linspace(1, 30, 200)
+    noise_of = {"noise": noise, "sd": noise, "total_sd": total_sd, "seed": seed}
+    return model_slice(DipoleModel(float(medium.eta)), *sigmas, r_mfp, **noise_of)
 
 
 @pytest.fixture(scope="module")
@@ -73,8 +52,10 @@ def test_a_dipole_curve_of_every_cell_of_the_table_is_fitted_back(
         assert abs(fit.sigma_a_per_mm - medium.sigma_a) < 3 * fit.sigma_a_sd_per_mm
 
 
-def test_the_method_of_2001_on_exact_light_of_marble(shared_data: Path) -> None:
-    piece = monte_carlo_slice(shared_data, "marbleG_g0", 1.5, 0.799482)
+@pytest.mark.parametrize("name", [name for name in OF_TWO_CODES if "marble" in name])
+def test_the_method_of_2001_on_exact_light_of_marble(name: str) -> None:
+    marble = curve(name)
+    piece = curve_slice(replace(marble, se=0 * marble.se), least_sd=0.01, total_sd=0.0)
     fit = fit_slice(piece, FitOptions(model="dipole", constraint="exact"))["G"]
     assert fit.sigma_sp_per_mm / 2.62 - 1 == pytest.approx(0.02, abs=0.02)
     assert fit.sigma_a_per_mm / 0.0041 - 1 == pytest.approx(-0.07, abs=0.04)
@@ -102,7 +83,7 @@ def test_the_optimum_is_that_of_scipy(constraint: str) -> None:
         with jax.enable_x64(True):
             there = Medium(q**2 / 3 * sigma_tp, (1 - q**2 / 3) * sigma_tp, 1.5)
             rest = (channel.rd_per_mm2 - np.asarray(dipole.rd(there, channel.r_mm))) / sd
-            gap = (piece.total_r["G"] - float(dipole.total_r(there))) / 0.002
+            gap = (piece.total_r["G"] - float(dipole.total_r(there))) / piece.total_r_sd["G"]
         return np.append(rest[inside], gap) if constraint == "soft" else rest[inside]
 
     start = [np.log(2.0)] if constraint == "exact" else [np.log(2.0), 0.1]
@@ -116,12 +97,10 @@ def test_the_stated_errors_are_the_scatter_over_trials() -> None:
     slices = [dipole_slice(medium, seed, total_sd=1e-9) for seed in range(256)]
     rng = np.random.default_rng(1)
     noisy = [
-        Slice(
-            **{
-                **vars(piece),
-                "total_r": {"G": piece.total_r["G"] * (1 + 0.002 * rng.standard_normal())},
-                "total_r_sd": {"G": 0.002 * piece.total_r["G"]},
-            }
+        replace(
+            piece,
+            total_r={"G": piece.total_r["G"] * (1 + 0.002 * rng.standard_normal())},
+            total_r_sd={"G": 0.002 * piece.total_r["G"]},
         )
         for piece in slices
     ]
@@ -150,10 +129,9 @@ def test_a_length_error_moves_both_coefficients_by_as_much(constraint: str) -> N
 @pytest.mark.parametrize("constraint", ["exact", "soft", "none"])
 def test_lengths_that_are_wrong_move_the_coefficients_by_as_much(constraint: str) -> None:
     piece = dipole_slice(Medium(0.17, 0.88, 1.3), 3, noise=1e-4, total_sd=1e-6)
-    channel = piece.channels["G"]
-    longer = ChannelSlice(channel.r_mm * 1.01, channel.rd_per_mm2 / 1.01**2, channel.sd_per_mm2 / 1.01**2)
+    longer = changed(piece, r=1.01, rd=1 / 1.01**2)
     options = FitOptions(model="dipole", constraint=constraint)  # type: ignore[arg-type]
-    right, wrong = (fit_slice(each, options)["G"] for each in (piece, replace(piece, channels={"G": longer})))
+    right, wrong = (fit_slice(each, options)["G"] for each in (piece, longer))
     assert wrong.sigma_sp_per_mm * 1.01 == pytest.approx(right.sigma_sp_per_mm, rel=1e-6)
     assert wrong.sigma_a_per_mm * 1.01 == pytest.approx(right.sigma_a_per_mm, rel=1e-6)
 
@@ -165,10 +143,7 @@ def test_an_error_of_scale_moves_curve_and_total_together(constraint: str) -> No
     for seed in range(160):
         piece = dipole_slice(Medium(0.0041, 2.62, 1.5), seed, noise=0.002, total_sd=1e-6)
         factor = 1 + 0.01 * np.random.default_rng(1000 + seed).standard_normal()
-        channel = piece.channels["G"]
-        scaled = replace(channel, rd_per_mm2=factor * channel.rd_per_mm2)
-        total_r = {"G": factor * piece.total_r["G"]}
-        pieces.append(replace(piece, channels={"G": scaled}, total_r=total_r, scale_rel_sd=0.01))
+        pieces.append(changed(piece, rd=factor, sd=1.0, total_r=factor, scale_rel_sd=0.01))
     options = FitOptions(model="dipole", constraint=constraint, window_mm=(0.45, 8.5))  # type: ignore[arg-type]
     fits = [fit["G"] for fit in fit_slices(pieces, options)]
     for key, truth in (("sigma_a", 0.0041), ("sigma_sp", 2.62)):
@@ -193,15 +168,7 @@ def test_the_budget_adds_up_to_the_whole_variance() -> None:
 
 def test_lengths_scale_out() -> None:
     piece = dipole_slice(Medium(0.0041, 2.62, 1.5), 4, total_sd=0.002)
-    channel = piece.channels["G"]
-    larger = Slice(
-        **{
-            **vars(piece),
-            "channels": {
-                "G": ChannelSlice(channel.r_mm * 50, channel.rd_per_mm2 / 2500, channel.sd_per_mm2 / 2500),
-            },
-        }
-    )
+    larger = changed(piece, r=50, rd=1 / 2500)
     near, far = (fit_slice(each, FitOptions(model="dipole"))["G"] for each in (piece, larger))
     assert far.sigma_sp_per_mm * 50 == pytest.approx(near.sigma_sp_per_mm, rel=1e-6)
     assert far.sigma_a_per_mm * 50 == pytest.approx(near.sigma_a_per_mm, rel=1e-6)
@@ -212,14 +179,7 @@ def test_camera_values_and_entering_values_give_the_same_fit() -> None:
 
     piece = dipole_slice(Medium(0.17, 0.88, 1.3), 7)
     factor = camera_factor(1.3, flux="incident", exit="fresnel", view_angle_deg=45.0, incidence_deg=0.0)
-    channel = piece.channels["G"]
-    seen = Slice(
-        channels={"G": ChannelSlice(channel.r_mm, channel.rd_per_mm2 * factor, channel.sd_per_mm2 * factor)},
-        eta=1.3,
-        flux="incident",
-        exit="fresnel",
-        total_r={"G": piece.total_r["G"] * factor},
-    )
+    seen = changed(piece, rd=factor, total_r=factor, flux="incident", exit="fresnel")
     a, b = (fit_slice(each, FitOptions(model="dipole"))["G"] for each in (piece, seen))
     assert a.sigma_a_per_mm == pytest.approx(b.sigma_a_per_mm, rel=1e-9)
     assert b.total_r_model == pytest.approx(a.total_r_model, rel=1e-9)
@@ -230,4 +190,4 @@ def test_a_constraint_without_its_total_is_refused() -> None:
     with pytest.raises(InputError, match="total_r_sd"):
         fit_slice(piece, FitOptions(constraint="soft"))
     with pytest.raises(InputError, match="total_r for channel G"):
-        fit_slice(Slice(**{**vars(piece), "total_r": {}}), FitOptions(constraint="exact"))
+        fit_slice(replace(piece, total_r={}), FitOptions(constraint="exact"))

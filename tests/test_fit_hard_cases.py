@@ -9,14 +9,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from builders import changed, model_slice, with_rd
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from bssrdf.fit.run import FitOptions, fit_slices
 from bssrdf.session.records import ChannelFit, ChannelSlice, Slice
-from bssrdf.transport.arrays import NUMPY
-from bssrdf.transport.light import Light, shape_of, table_of
-from bssrdf.transport.light import dipole as dipole_of
+from bssrdf.transport.forward import DipoleModel
 from bssrdf.transport.white.store import table_model
 
 N = 64
@@ -36,43 +35,14 @@ TRUTH = {
 def light(name: str, *, far_mfp: float = 24.0, n: int = N, noise: float = 0.01, seed: int = 1) -> Slice:
     """The table's light of a medium from 1 mean free path on, with noise and with R to 0.2 %."""
     sigma_a, sigma_sp, eta = TRUTH[name]
-    rng = np.random.default_rng(seed)
-    return made(table_of(table_model(eta, 0.0)), sigma_a, sigma_sp, far_mfp, n, noise, rng)
+    errors = {"noise": noise, "seed": seed, "g": 0.0, "scale_rel_sd": 0.0, "mm_rel_sd": 0.0}
+    return model_slice(table_model(eta, 0.0), sigma_a, sigma_sp, np.linspace(1, far_mfp, n), **errors)
 
 
-def made(
-    model: Light, sigma_a: float, sigma_sp: float, far_mfp: float, n: int, noise: float, rng: np.random.Generator
-) -> Slice:
-    """Light of a model, 1 mean free path to `far_mfp`."""
-    log_sigma, q = (np.full((1, 1), each) for each in shape_of(sigma_a, sigma_sp))
-    r_mm = np.linspace(1, far_mfp, n) / (sigma_a + sigma_sp)
-    rd = np.exp(2 * log_sigma[0]) * model.look(NUMPY, q, r_mm[None] * np.exp(log_sigma))[0][0]
-    total_r = float(model.total(NUMPY, q)[0][0, 0])
-    return Slice(
-        channels={"G": ChannelSlice(r_mm, rd * (1 + noise * rng.standard_normal(n)), 0.01 * rd)},
-        eta=model.eta,
-        flux="entering",
-        exit="hemisphere",
-        total_r={"G": total_r},
-        total_r_sd={"G": 0.002 * total_r},
-        g=0.0,
-        scale_rel_sd=0.0,
-        mm_rel_sd=0.0,
-    )
-
-
-def changed(piece: Slice, *, r: float = 1.0, rd: np.ndarray | float = 1.0, sd: np.ndarray | float = 1.0) -> Slice:
-    """The slice with radii, values and errors multiplied."""
-    channel = piece.channels["G"]
-    return replace(
-        piece, channels={"G": ChannelSlice(channel.r_mm * r, channel.rd_per_mm2 * rd, channel.sd_per_mm2 * sd)}
-    )
-
-
-def with_rd(piece: Slice, rd: np.ndarray) -> Slice:
-    """The slice with other values."""
-    channel = piece.channels["G"]
-    return replace(piece, channels={"G": replace(channel, rd_per_mm2=rd)})
+def dipole_light(eta: float) -> Slice:
+    """The dipole's light of skin at an index without a table."""
+    errors = {"noise": 0.01, "seed": 5, "g": 0.0, "scale_rel_sd": 0.0, "mm_rel_sd": 0.0}
+    return model_slice(DipoleModel(eta), 0.17, 0.88, np.linspace(1, 24, N), **errors)
 
 
 def _outlier() -> np.ndarray:
@@ -89,13 +59,13 @@ def _cases() -> dict[str, Slice]:
         **{name: light(name) for name in TRUTH},
         "noisy total": replace(light("Spectralon"), total_r={"G": 1.004}),
         "short frame": light("marble", far_mfp=6.0),
-        "eta 0.95": made(dipole_of(0.95), 0.17, 0.88, 24.0, N, 0.01, rng),
-        "eta 3.1": made(dipole_of(3.1), 0.17, 0.88, 24.0, N, 0.01, rng),
-        "g 0.97": replace(made(dipole_of(1.3), 0.17, 0.88, 24.0, N, 0.01, rng), g=0.97),
+        "eta 0.95": dipole_light(0.95),
+        "eta 3.1": dipole_light(3.1),
+        "g 0.97": replace(dipole_light(1.3), g=0.97),
         "five points": light("skin", n=5, far_mfp=12.0),
         "four points": light("skin", n=4, far_mfp=12.0),
         "six decades of weights": changed(skin, sd=np.geomspace(1, 1e6, N)),
-        "outlier": changed(skin, rd=_outlier()),
+        "outlier": changed(skin, rd=_outlier(), sd=1.0),
         "zeros and negatives": with_rd(
             skin, np.where(np.arange(N) % 9 == 8, 0.0, 1) * skin.channels["G"].rd_per_mm2 - 0
         ),

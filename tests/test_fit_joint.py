@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from builders import model_slice
 
 from bssrdf.cli import cli
 from bssrdf.commands.console import run
@@ -15,8 +16,7 @@ from bssrdf.errors import InputError
 from bssrdf.fit.run import FitOptions, fit_joint, fit_slice
 from bssrdf.session.records import ChannelSlice, Slice
 from bssrdf.session.slice_csv import write_slice
-from bssrdf.transport.arrays import NUMPY
-from bssrdf.transport.light import dipole, shape_of, table_of
+from bssrdf.transport.forward import DipoleModel
 from bssrdf.transport.white.store import table_model
 
 OPTIONS = FitOptions(model="dipole", constraint="soft")
@@ -26,22 +26,9 @@ MEDIUM = (0.17, 0.88)
 
 def session(seed: int, *, factor: float = 1.0, scale_sd: float = 0.0, model: str = "dipole") -> Slice:
     """The model's light with 1 % noise, all of it multiplied by `factor`."""
-    rng = np.random.default_rng(seed)
-    light = dipole(1.3) if model == "dipole" else table_of(table_model(1.3, 0.0))
-    log_sigma, q = (np.full((1, 1), each) for each in shape_of(*MEDIUM))
-    r_mm = np.linspace(1, 20, 60) / sum(MEDIUM)
-    rd = factor * np.exp(2 * log_sigma[0]) * light.look(NUMPY, q, r_mm[None] * np.exp(log_sigma))[0][0]
-    total_r = factor * float(light.total(NUMPY, q)[0][0, 0])
-    return Slice(
-        channels={"G": ChannelSlice(r_mm, rd * (1 + 0.01 * rng.standard_normal(60)), 0.01 * rd)},
-        eta=1.3,
-        flux="entering",
-        exit="hemisphere",
-        total_r={"G": total_r * (1 + 0.002 * rng.standard_normal())},
-        total_r_sd={"G": 0.002 * total_r},
-        g=0.0,
-        scale_rel_sd=scale_sd,
-    )
+    light = DipoleModel(1.3) if model == "dipole" else table_model(1.3, 0.0)
+    errors = {"noise": 0.01, "total_noise": 0.002, "scale_rel_sd": scale_sd, "g": 0.0}
+    return model_slice(light, *MEDIUM, np.linspace(1, 20, 60), factor=factor, seed=seed, **errors)
 
 
 def test_four_slices_know_twice_as_much_as_one() -> None:

@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from builders import seen_slice
 
 from bssrdf.bench.trial_light import shipped
 from bssrdf.bench.trials import Drawn, slices_of
@@ -19,9 +20,7 @@ from bssrdf.fit.neighbours import refitted, table_error
 from bssrdf.fit.run import FitOptions, fit_slices
 from bssrdf.fit.solve import settle
 from bssrdf.fit.terms import Point, Weights
-from bssrdf.rig.sim.light import seen_light
-from bssrdf.rig.sim.media import SampleMedium
-from bssrdf.session.records import ChannelSlice, Slice
+from bssrdf.session.records import Slice
 from bssrdf.transport.arrays import NUMPY, picked
 from bssrdf.transport.dipole import Medium, rd, total_r
 from bssrdf.transport.light import WhiteTable, coefficients
@@ -36,26 +35,9 @@ def trial(name: str = "Skin1 G", seed: int = 1) -> Slice:
 
 
 def seen(sigma_a: float, sigma_sp: float) -> Slice:
-    """The bench's light of a medium as a camera at 45° sees it across the view; the spot is half a mean free path."""
-    light = seen_light(SampleMedium(sigma_a, sigma_sp, 1.3), 45.0, photons=1, seed=1)
-    assert light.harmonics is not None
-    edges, across = light.r_edges_mm, 1 + np.cos(np.arange(1, 13) * np.pi / 2) @ light.harmonics
-    used = (edges[:-1] * (sigma_a + sigma_sp) > 0.7) & (light.beyond[1:] > 1e-4 * light.total)
-    lo, hi = edges[:-1][used], edges[1:][used]
-    curve = (-np.diff(light.beyond) * across)[used] / (np.pi * (hi**2 - lo**2))
-    return Slice(
-        channels={"G": ChannelSlice((lo + hi) / 2, curve, 0.01 * curve, lo, hi)},
-        eta=1.3,
-        flux="incident",
-        exit="fresnel",
-        g=0.0,
-        spot_radius_mm=0.5 / (sigma_a + sigma_sp),
-        spot_radius_sd_mm=0.01,
-        total_r={"G": light.total},
-        total_r_sd={"G": 0.002 * light.total},
-        scale_rel_sd=0.005,
-        mm_rel_sd=0.002,
-    )
+    """A camera's slice whose spot is half a mean free path."""
+    spot = {"spot_radius_mm": 0.5 / (sigma_a + sigma_sp), "spot_radius_sd_mm": 0.01}
+    return seen_slice(sigma_a, sigma_sp, **spot, scale_rel_sd=0.005, mm_rel_sd=0.002)
 
 
 def fitted(pieces: Sequence[Slice], model: str = "mc", options: Options = PLAIN) -> Fitted:

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from builders import changed, with_rd
 
 from bssrdf.bench.trial_light import shipped
 from bssrdf.bench.trials import Drawn, slices_of
@@ -23,26 +24,10 @@ def honest(name: str, seed: int = 2) -> Slice:
     return slices_of(shipped()[name], 1, 0.01, seed, Drawn(scale=0.005, length=0.002))[0]
 
 
-def changed(piece: Slice, *, r: float = 1.0, rd: float = 1.0, sd: float = 1.0, r_total: float = 1.0) -> Slice:
-    """The slice with radii, values, errors and R multiplied."""
-    c = piece.channels["G"]
-    assert c.r_lo_mm is not None
-    assert c.r_hi_mm is not None
-    part = replace(
-        c,
-        r_mm=c.r_mm * r,
-        r_lo_mm=c.r_lo_mm * r,
-        r_hi_mm=c.r_hi_mm * r,
-        rd_per_mm2=c.rd_per_mm2 * rd,
-        sd_per_mm2=c.sd_per_mm2 * rd * sd,
-    )
-    return replace(piece, channels={"G": part}, total_r={"G": piece.total_r["G"] * r_total})
-
-
 def with_floor(piece: Slice) -> Slice:
     """Glare of a hundredth of the brightest radius over the frame."""
-    c = piece.channels["G"]
-    return replace(piece, channels={"G": replace(c, rd_per_mm2=c.rd_per_mm2 + 1e-2 * c.rd_per_mm2.max())})
+    rd = piece.channels["G"].rd_per_mm2
+    return with_rd(piece, rd + 1e-2 * rd.max())
 
 
 SABOTAGE: dict[str, Callable[[Slice], Slice]] = {
@@ -52,7 +37,7 @@ SABOTAGE: dict[str, Callable[[Slice], Slice]] = {
     "curve three times": lambda piece: changed(piece, rd=3.0),
     "curve ten times": lambda piece: changed(piece, rd=10.0),
     "radii in cm": lambda piece: changed(piece, r=0.1),
-    "R of another sample": lambda piece: changed(piece, r_total=0.85),
+    "R of another sample": lambda piece: changed(piece, total_r=0.85),
     "errors a fifth": lambda piece: changed(piece, sd=0.2),
     "glare": with_floor,
 }

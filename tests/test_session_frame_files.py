@@ -11,6 +11,7 @@ import numpy as np
 import OpenImageIO as oiio
 import pytest
 import tifffile
+from builders import real_data
 from numpy.typing import NDArray
 
 from bssrdf.errors import InputError
@@ -21,7 +22,6 @@ from bssrdf.session.hdr_image import read_hdr_exr, write_hdr_exr
 from bssrdf.session.session_toml import read_session, write_template
 from bssrdf.session.slice_csv import read_slice
 
-FLEA3 = Path(__file__).parents[2] / "shared" / "data" / "flea3_bracket" / "frames"
 RNG = np.random.default_rng(1)
 DN = RNG.integers(0, 16384, (48, 64)).astype(np.uint16)
 PATTERNS = {"RGGB": (0, 1, 1, 2), "GBRG": (1, 2, 0, 1), "BGGR": (2, 1, 1, 0), "GRBG": (1, 0, 2, 1)}
@@ -109,9 +109,8 @@ def test_tiff_of_another_kind_is_refused(tmp_path: Path, values: NDArray[Any], n
         read_frame_file(tmp_path / "a.tif")
 
 
-@pytest.mark.skipif(not FLEA3.is_dir(), reason="the real bracket is not beside this checkout")
 def test_frame_of_a_real_camera() -> None:
-    file = FLEA3 / "d1_disks32cmV2_600nm_100ms_2019-02-08-183741-0004.tif"
+    file = real_data("flea3_bracket") / "frames/d1_disks32cmV2_600nm_100ms_2019-02-08-183741-0004.tif"
     frame = read_frame_file(file)
     assert frame.data.dtype == np.uint8
     np.testing.assert_array_equal(frame.data, tifffile.imread(file))
@@ -235,9 +234,7 @@ def make_radiance_hdr(path: Path) -> None:
 
 
 def make_flea3(path: Path) -> None:
-    if not FLEA3.is_dir():
-        pytest.skip("the real bracket is not beside this checkout")
-    path.write_bytes(min(FLEA3.iterdir()).read_bytes())
+    path.write_bytes(min((real_data("flea3_bracket") / "frames").iterdir()).read_bytes())
 
 
 def make_slice(path: Path) -> None:

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import scipy.optimize
+from builders import OF_TWO_CODES, curve
 
 from bssrdf.errors import InputError
 from bssrdf.transport.dipole import Medium
@@ -20,12 +21,6 @@ from bssrdf.transport.white.archive import lagrange
 from bssrdf.transport.white.samples import Walk
 from bssrdf.transport.white.store import shipped, table_model
 
-DATA = Path(__file__).parent.parent.parent / "shared" / "data" / "mc"
-CURVES = [
-    ("marbleG_g0", 0.0041, 2.62, 0.0, 1.5),
-    ("skin1G_g0.8", 0.17, 0.88, 0.8, 1.3),
-    ("ketchupR_g0", 0.061, 0.18, 0.0, 1.3),
-]
 TABLE_ERROR = 0.006
 NORMAL = np.array([1.0])
 
@@ -38,16 +33,6 @@ def double():
 
 def medium_of(albedo_p, eta, sigma_tp=1.0):
     return Medium(sigma_tp * (1 - albedo_p), sigma_tp * albedo_p, eta)
-
-
-def read_curve(name):
-    path = DATA / f"{name}.csv"
-    if not path.exists():
-        pytest.skip(f"{path} is not here")
-    lines = path.read_text().splitlines()
-    rows = np.array([[float(x) for x in line.split(",")] for line in lines if line[:1].isdigit()])
-    [total] = [float(line.split("=")[1].split()[0]) for line in lines if "total_R" in line]
-    return rows, total
 
 
 def test_shipped_tables_are_small_and_cover_the_usual_media():
@@ -85,30 +70,30 @@ def test_totals_between_the_nodes_are_exact(eta, g):
             assert 1 - total == pytest.approx(1 - exact, rel=3e-3)
 
 
-@pytest.mark.parametrize(("name", "sigma_a", "sigma_sp", "g", "eta"), CURVES)
-def test_the_curve_agrees_with_an_independent_code(name, sigma_a, sigma_sp, g, eta):
-    rows, total = read_curve(name)
-    model, medium = table_model(eta, g), Medium(sigma_a, sigma_sp, eta)
-    expected, error = rows[:, 2], rows[:, 3]
-    value = np.asarray(model.bin_average(medium, rows[:, 0], rows[:, 1]))
-    z = (value - expected) / np.hypot(error, TABLE_ERROR * expected)
-    seen = error < 0.2 * expected
+@pytest.mark.parametrize("name", OF_TWO_CODES)
+def test_the_curve_agrees_with_an_independent_code(name):
+    known = curve(name)
+    model, medium = table_model(known.eta, known.g), Medium(known.sigma_a, known.sigma_sp, known.eta)
+    value = np.asarray(model.bin_average(medium, known.r_lo, known.r_hi))
+    z = (value - known.rd) / np.hypot(known.se, TABLE_ERROR * known.rd)
+    seen = known.se < 0.2 * known.rd
     assert np.mean(np.abs(z[seen]) < 3.5) >= 0.95
     assert np.mean(z[seen] ** 2) < 1.5
-    assert float(model.total(medium)) == pytest.approx(total, rel=1e-3)
+    assert float(model.total(medium)) == pytest.approx(known.total_r, rel=1e-3)
 
 
-@pytest.mark.parametrize(("name", "sigma_a", "sigma_sp", "g", "eta"), CURVES)
-def test_a_fit_to_an_independent_code_returns_its_coefficients(name, sigma_a, sigma_sp, g, eta):
-    rows, total = read_curve(name)
-    model = table_model(eta, g)
-    rows = rows[(rows[:, 3] < 0.05 * rows[:, 2])]
-    average = jax.jit(lambda p: model.bin_average(Medium(jnp.exp(p[0]), jnp.exp(p[1]), eta), rows[:, 0], rows[:, 1]))
+@pytest.mark.parametrize("name", OF_TWO_CODES)
+def test_a_fit_to_an_independent_code_returns_its_coefficients(name):
+    known = curve(name)
+    sigma_a, sigma_sp, eta, model = known.sigma_a, known.sigma_sp, known.eta, table_model(known.eta, known.g)
+    clear = known.se < 0.05 * known.rd
+    r_lo, r_hi, rd, se = (each[clear] for each in (known.r_lo, known.r_hi, known.rd, known.se))
+    average = jax.jit(lambda p: model.bin_average(Medium(jnp.exp(p[0]), jnp.exp(p[1]), eta), r_lo, r_hi))
     total_of = jax.jit(lambda p: model.total(Medium(jnp.exp(p[0]), jnp.exp(p[1]), eta)))
 
     def residual(p):
-        curve = np.log(np.asarray(average(p)) / rows[:, 2]) / np.hypot(rows[:, 3] / rows[:, 2], TABLE_ERROR)
-        return np.append(curve, (float(total_of(p)) - total) / (1e-4 * total))
+        misses = np.log(np.asarray(average(p)) / rd) / np.hypot(se / rd, TABLE_ERROR)
+        return np.append(misses, (float(total_of(p)) - known.total_r) / (3e-4 * known.total_r))
 
     found = np.exp(scipy.optimize.least_squares(residual, np.log([2 * sigma_a, 0.7 * sigma_sp])).x)
     assert found == pytest.approx([sigma_a, sigma_sp], rel=0.01)
