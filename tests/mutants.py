@@ -250,8 +250,8 @@ ERRORS = (
     Mutant(
         "noise: the model's allowance counts as noise",
         "fit/errors.py",
-        "xp.where(in_force > 0, in_force**2 * variance + unknown, 0.0)",
-        "xp.where(in_force > 0, in_force + unknown, 0.0)",
+        "xp.where(force > 0, force**2 * variance + unknown, 0.0)",
+        "xp.where(force > 0, force + unknown, 0.0)",
         ("fit_budget::the_share_of_noise",),
     ),
     Mutant(
