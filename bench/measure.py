@@ -7,7 +7,6 @@ larger, with the noise of as many pixels. Frames are plain DNG.
 from __future__ import annotations
 
 import argparse
-import resource
 import subprocess
 import sys
 import tempfile
@@ -80,6 +79,8 @@ def _enlarged(mosaic: np.ndarray, times: int) -> np.ndarray:
 
 def cost_of(*arguments: object) -> Cost:
     """What a command of the project costs, in a process of its own."""
+    import resource  # of POSIX alone
+
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
     start = time.monotonic()
     done = subprocess.run(

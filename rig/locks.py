@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import fcntl
 import hashlib
 import os
 from collections.abc import Iterator
@@ -10,6 +9,7 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 import platformdirs
+from filelock import FileLock, Timeout
 
 from bssrdf.errors import DeviceError, UsageError
 
@@ -25,14 +25,11 @@ def lock_ports(ports: set[str]) -> Iterator[None]:
 
 
 def check_ports(ports: set[str]) -> None:
-    """The same DeviceError where a port is in use; nothing is held and nothing written."""
+    """The same DeviceError where a port is in use; nothing is held afterwards."""
     for port in sorted(ports):
         if (file := _file_of(port)).exists():
-            with file.open("rb") as handle:
-                try:
-                    fcntl.flock(handle, fcntl.LOCK_SH | fcntl.LOCK_NB)
-                except BlockingIOError:
-                    _refuse(port, handle.read(20).decode() or "unknown")
+            with _lock(file) as holder:
+                _refuse(port, holder)
 
 
 def _file_of(port: str) -> Path:
@@ -57,16 +54,23 @@ def lock_session(session: Path) -> Iterator[None]:
 
 @contextmanager
 def _lock(file: Path) -> Iterator[str]:
-    """Hold the lock; yields nothing, or the process that holds it already."""
-    handle = os.open(file, os.O_RDWR | os.O_CREAT, 0o600)
+    """Hold the lock; yields nothing, or the process that holds it already, as it wrote beside the lock."""
+    holder = file.with_name(f"{file.name}.pid")
+    lock = FileLock(file, mode=0o600, thread_local=False)
     try:
-        try:
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            yield os.read(handle, 20).decode() or "unknown"
-            return
-        os.ftruncate(handle, 0)
-        os.write(handle, str(os.getpid()).encode())
+        lock.acquire(timeout=0)
+    except Timeout:
+        yield _told(holder)
+        return
+    try:
+        holder.write_text(str(os.getpid()), encoding="utf-8")
         yield ""
     finally:
-        os.close(handle)
+        lock.release()
+
+
+def _told(holder: Path) -> str:
+    try:
+        return holder.read_text(encoding="utf-8") or "unknown"
+    except OSError:
+        return "unknown"

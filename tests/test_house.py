@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import re
 import subprocess
 import sys
@@ -85,3 +86,15 @@ def test_no_name_behind_a_door_is_that_of_a_module() -> None:
         names = re.findall(r" as (\w+)$", block[1], re.MULTILINE) if block else []
         beside = {path.stem for path in (ROOT / init).parent.iterdir()}
         assert not beside & set(names), init
+
+
+def test_only_the_simulated_bench_needs_posix_to_be_imported() -> None:
+    """On Windows measuring and fitting import: such modules stand inside functions, or where ImportError is caught."""
+    posix = {"fcntl", "grp", "posix", "pty", "pwd", "resource", "syslog", "termios", "tty"}
+    for module in tracked_modules():
+        if module.parts[:2] == ("rig", "sim"):
+            continue
+        for node in ast.parse((ROOT / module).read_text(encoding="utf-8")).body:
+            names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
+            names += [str(node.module)] if isinstance(node, ast.ImportFrom) else []
+            assert not posix & {name.split(".")[0] for name in names}, module
