@@ -2,7 +2,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 OUT ?= demo
 
-.PHONY: demo test slow check bench docs-tables clean
+.PHONY: demo test slow mutants check bench docs docs-tables clean
 
 demo: .venv/installed
 	$(BIN)/bssrdf demo --out $(OUT) --force
@@ -26,6 +26,9 @@ check: .venv/installed
 bench: .venv/installed
 	$(BIN)/bssrdf bench fit --history bench/history.jsonl
 
+docs: .venv/installed
+	$(BIN)/python -m sphinx -q -W --keep-going -b html docs build/site
+
 docs-tables: .venv/installed
 	$(BIN)/python docs/tables.py
 
@@ -33,7 +36,7 @@ docs-tables: .venv/installed
 	.ci/apt
 	$(PYTHON) -c 'import sys; sys.exit(None if (3, 11) <= sys.version_info[:2] <= (3, 13) else "bssrdf needs Python 3.11 to 3.13: make PYTHON=python3.12")'
 	$(PYTHON) -m venv .venv
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[dev,batch,camera,export,formats,render]'
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[dev,batch,camera,docs,export,formats,render]'
 	touch $@
 
 clean:

@@ -1,0 +1,30 @@
+"""How Sphinx builds these pages: `make docs`."""
+
+from __future__ import annotations
+
+from bssrdf import __version__ as release
+
+project = "bssrdf"
+author = copyright = "The bssrdf authors"  # noqa: A001  # Sphinx's own name
+version = release
+
+extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
+exclude_patterns = ["**.ipynb_checkpoints", "tutorial"]
+myst_enable_extensions = ["dollarmath"]
+highlight_language = "none"
+myst_heading_anchors = 4
+nb_execution_mode = "force"
+nb_execution_raise_on_error = True
+nb_execution_timeout = 120
+
+autodoc_typehints = "signature"
+autodoc_member_order = "bysource"
+autodoc_preserve_defaults = True
+default_role = "code"  # what docstrings have in single backticks
+python_maximum_signature_line_length = 88
+
+html_theme = "furo"
+html_title = f"bssrdf {release}"
+html_copy_source = False
+html_static_path = ["static"]
+html_css_files = ["site.css"]
