@@ -33,6 +33,13 @@ def _camera_keys() -> Mapping[str, Declared]:
     return {name: key for name, key in keys_of(Camera).items() if name in ("layout", "black", "white")}
 
 
+def _numbers(_: click.Context, option: click.Parameter, given: str | None) -> list[float] | None:
+    try:
+        return None if given is None else [float(text) for text in given.split(",")]
+    except ValueError:
+        raise click.BadParameter(f"{given}: write numbers such as 0.99,0.98,0.97", param=option) from None
+
+
 @click.command(cls=KeyCommand, keys=_camera_keys, heading="Keys of [camera], where the files do not tell")
 @click.argument("folder", type=FOLDER)
 @click.option("--out", type=FOLDER, required=True, metavar="SESSION", help="The session to make.")
@@ -46,6 +53,13 @@ def _camera_keys() -> Mapping[str, Declared]:
     help="Where exposures stand, instead of metadata and names: a regular expression with one group that finds them in "
     "the path, or a .csv file with the columns file,exposure_s (and page, for stacks).",
 )
+@click.option("--material", metavar="NAME", help="What was filmed, for session.toml.")
+@click.option("--eta", type=float, help="Its relative index of refraction.")
+@click.option("--g", type=float, help="Its mean cosine of the phase function.")
+@click.option("--mm-per-px", type=float, help="Scale in the surface, along the slice.")
+@click.option("--view-angle-deg", type=float, help="Camera against the surface normal.")
+@click.option("--reference", callback=_numbers, metavar="R[,R,R]", help="Radiance factor of the tile, by channel.")
+@click.option("--reference-sd", callback=_numbers, metavar="R[,R,R]", help="Its error.")
 @click.option("--response", is_flag=True, help="Take JPEG and PNG as well, and have their response curve fitted.")
 @force_option
 def ingest(
@@ -56,6 +70,13 @@ def ingest(
     exposure_from: str | None,
     response: bool,
     force: bool,
+    material: str | None,
+    eta: float | None,
+    g: float | None,
+    mm_per_px: float | None,
+    view_angle_deg: float | None,
+    reference: list[float] | None,
+    reference_sd: list[float] | None,
     **camera: Any,
 ) -> None:
     """Copy the frames of FOLDER into a session.
@@ -72,6 +93,11 @@ def ingest(
         camera=camera,
         exposure_from=exposure_from,
         response=response,
+        told={
+            "material": {"name": material, "eta": eta, "g": g},
+            "geometry": {"mm_per_px": mm_per_px, "view_angle_deg": view_angle_deg},
+            "reference": {"reflectance": reference, "reflectance_sd": reference_sd},
+        },
     )
     counts = {kind: sum(frame.kind == kind for frame in frames) for kind in sorted({frame.kind for frame in frames})}
     click.echo(f"{out}: " + ", ".join(f"{n} {kind}" for kind, n in counts.items()))

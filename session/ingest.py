@@ -18,7 +18,7 @@ from bssrdf.session.frames_csv import write_frames
 from bssrdf.session.png_file import is_deep
 from bssrdf.session.raw_frame import RawFrame
 from bssrdf.session.records import Frame, FrameKind
-from bssrdf.session.session_toml import camera_of_keys, write_started
+from bssrdf.session.session_toml import camera_of_keys, told_tables, write_started
 
 _MERGED: dict[str, FrameKind] = {"sample": "sample_hdr", "reference": "reference_hdr"}
 _NO_FRAMES = ("__MACOSX", "@eaDir")
@@ -34,12 +34,14 @@ def ingest_folder(
     camera: Mapping[str, Any] = MappingProxyType({}),
     exposure_from: str | None = None,
     response: bool = False,
+    told: Mapping[str, Mapping[str, Any]] = MappingProxyType({}),
 ) -> list[Frame]:
     """Copy the frames below `folder` into a new session `out`; a session that was there is replaced.
 
     `kinds` are `GLOB=kind` rules on path or name, of which the last match wins; with `select`, light frames count only
     where their path contains it; `camera` is keys of [camera]; `exposure_from` is a regular expression that finds the
-    exposure in a path, or a CSV file that lists it. A stack becomes a file for each of its pictures. With `response`
+    exposure in a path, or a CSV file that lists it; `told` are keys of further
+    tables of session.toml. A stack becomes a file for each of its pictures. With `response`
     JPEG and PNG files count as well, and the session asks for their response curve. Returns the frames listed.
     UsageError for a rule that is malformed or matches nothing, InputError for a file whose kind or exposure is unclear,
     that cannot be read, or whose camera was set otherwise than for the others.
@@ -47,15 +49,16 @@ def ingest_folder(
     rules = [rule_of(text) for text in kinds]
     known_camera = camera_of_keys(out / "session.toml", {**camera, **({"response": "debevec"} if response else {})})
     chosen = _chosen(_image_files(folder, out, response), folder, rules, select)
-    told = exposure_source(exposure_from, folder) if exposure_from else None
+    known_tables = told_tables(out / "session.toml", told)
+    source = exposure_source(exposure_from, folder) if exposure_from else None
     make_folder(out.parent)
     with replace_folder(out) as building:
         frames = []
         for relative, kind in chosen.items():
-            frames += _take(folder, relative, kind, building, told, encoded=response)
+            frames += _take(folder, relative, kind, building, source, encoded=response)
         check_constant(frames, folder)
         write_frames(building, frames)
-        write_started(building, known_camera)
+        write_started(building, known_camera, known_tables)
     return frames
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 from bssrdf.errors import InputError, UsageError
@@ -99,11 +100,13 @@ def write_template(path: Path, *, force: bool = False) -> None:
         write_frames(path, [])
 
 
-def write_started(path: Path, camera: Camera) -> None:
-    """The template with the keys of `camera` that differ from what is taken without them, to be filled in."""
+def write_started(path: Path, camera: Camera, told: Mapping[str, Mapping[str, Any]] = MappingProxyType({})) -> None:
+    """The template with the keys of `camera` that differ from what is taken without them, and those of further tables
+    that are `told` already, to be filled in."""
     plain = asdict(Camera())
     known = {key: value for key, value in asdict(camera).items() if value != plain[key]}
-    given: Tables = {"material": {"name": UNNAMED}, "camera": known}
+    given: Tables = {**{name: dict(values) for name, values in told.items()}, "camera": known}
+    given["material"] = {"name": UNNAMED} | given.get("material", {})
     tables = [f"[{name}]\n{_lines(name, given.get(name, {}))}" for name in TABLES if name not in _BY_CALIBRATE]
     with atomic_write(path / "session.toml") as part:
         part.write_text("\n".join([_TEMPLATE_HEAD, *tables]), encoding="utf-8")
@@ -117,6 +120,18 @@ def _lines(name: str, given: Mapping[str, Any]) -> str:
         line = f"{'' if on else '# '}{toml_table({key: given.get(key, declared.example)}).rstrip()}"
         lines += f"{line:39} # {declared.meaning}\n"
     return lines
+
+
+def told_tables(file: Path, tables: Mapping[str, Mapping[str, Any]]) -> Tables:
+    """The values that are not None, each checked; InputError naming `file`, for which they are meant."""
+    known = {
+        name: {key: value for key, value in values.items() if value is not None} for name, values in tables.items()
+    }
+    checked = {name: checked_table(file, name, values) for name, values in known.items() if values}
+    for name, values in checked.items():
+        if name == "reference" and "reflectance" in values:
+            _record(file, name, {"name": "", **values})
+    return checked
 
 
 def camera_of_keys(file: Path, keys: Mapping[str, Any]) -> Camera:

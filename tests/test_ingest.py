@@ -311,3 +311,22 @@ def test_frames_of_any_numbers_come_to_an_hdr_image_or_a_line(tmp_path: Path, dt
         tifffile.imwrite(tmp_path / "in" / kind / "a_250ms.tif", values.astype(dtype))
     assert run(cli, ["ingest", str(tmp_path / "in"), "--out", str(tmp_path / "s"), "--layout", "mono"]) == 0
     assert run(cli, ["measure", str(tmp_path / "s"), "--hdr-only", "--quiet"]) in (0, 3)
+
+
+def test_what_is_known_already_goes_into_session_toml(folder: Path, tmp_path: Path) -> None:
+    kinds = [f"--kind={rule}" for rule in RULES]
+    words = ["ingest", str(folder), *kinds, "--layout", "mono", "--white", "65535"]
+    known = ["--material", "wax", "--eta", "1.44", "--mm-per-px", "0.04", "--view-angle-deg", "30"]
+    tile = ["--reference", "0.98", "--reference-sd", "0.004"]
+    assert run(cli, [*words, "--out", str(tmp_path / "told"), *known, *tile]) == 0
+    session = read_session(tmp_path / "told", complete=True)
+    assert session.material
+    assert session.geometry
+    assert session.reference
+    assert (session.material.name, session.material.eta) == ("wax", 1.44)
+    assert (session.geometry.mm_per_px, session.geometry.view_angle_deg) == (0.04, 30.0)
+    assert (session.reference.reflectance, session.reference.reflectance_sd) == ((0.98,), (0.004,))
+    for wrong in (["--eta", "-1"], ["--reference", "0.9,0.8", "--reference-sd", "0.1"]):
+        assert run(cli, [*words, "--out", str(tmp_path / "wrong"), *wrong]) == 3
+    assert run(cli, [*words, "--out", str(tmp_path / "wrong"), "--reference", "white"]) == 2
+    assert not (tmp_path / "wrong").exists()
