@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -14,7 +16,8 @@ from numpy.typing import NDArray
 
 from bssrdf.rig.sim.light import seen_light
 from bssrdf.rig.sim.media import SampleMedium
-from bssrdf.session.records import ChannelSlice, Slice
+from bssrdf.session.frames_csv import write_frames
+from bssrdf.session.records import ChannelSlice, Frame, FrameKind, Session, Slice
 from bssrdf.transport.dipole import Medium
 from bssrdf.transport.forward import ForwardModel
 
@@ -25,6 +28,8 @@ SHARED = Path(__file__).resolve().parents[2] / "shared" / "data"
 """Real and independent data beside the checkout, which a public clone lacks."""
 OF_TWO_CODES = [f"{code}/{name}" for code in ("walk", "mcml") for name in ("marbleG_g0", "skin1G_g0.8", "ketchupR_g0")]
 """Curves that share no line with the package: those of `literal_walk`, and the same media by MCML where it is."""
+
+KINDS: tuple[FrameKind, ...] = ("sample", "sample_dark", "reference", "reference_dark")
 
 
 @dataclass(frozen=True)
@@ -153,6 +158,43 @@ def model_light(model: ForwardModel, sigma_a: float, sigma_sp: float, r_mm: Floa
     with jax.enable_x64(True):
         medium = Medium(sigma_a, sigma_sp, float(model.eta))
         return np.asarray(model.rd(medium, r_mm)), float(model.total(medium))
+
+
+def film(
+    session: Session,
+    light: Callable[[FrameKind, int, int], Floats],
+    exposures_s: Sequence[float],
+    rng: np.random.Generator,
+    *,
+    gain_e_per_dn: float = 1.0,
+    read_noise_e: float = 3.0,
+    dark_e_per_s: float = 2.0,
+    true_s: Sequence[float] | None = None,
+    repeats: int = 1,
+) -> Session:
+    """Write frames and frames.csv of a session: brackets of sample and reference, each with its darks.
+
+    `light` [e/s] is that of a kind, the number of its exposure and of its repeat. Exposures last `true_s`, where that
+    is not what their labels say. What a frame holds is Poisson's, with read noise, rounded and cut off at white.
+    """
+    black, white = session.camera.black or 0.0, session.camera.white or 65535
+    (session.path / "frames").mkdir(parents=True)
+    frames = []
+    for kind, number, repeat in itertools.product(KINDS, range(len(exposures_s)), range(repeats)):
+        mean = (light(kind, number, repeat) + dark_e_per_s) * (true_s or exposures_s)[number]
+        electrons = rng.poisson(mean) + rng.normal(0, read_noise_e, mean.shape)
+        dn = np.clip(np.rint(electrons / gain_e_per_dn) + black, 0, white).astype(np.uint16)
+        file = f"frames/{kind}_{number}{f'_{repeat}' if repeats > 1 else ''}.tif"
+        tifffile.imwrite(session.path / file, dn)
+        frames.append(Frame(file, kind, exposures_s[number]))
+    write_frames(session.path, frames)
+    return session
+
+
+def of_kinds(pictures: Mapping[str, Floats], e_per_s: float) -> Callable[[FrameKind, int, int], Floats]:
+    """Light for `film` that is the same in every frame of a kind, and none in darks."""
+    nothing = np.zeros_like(next(iter(pictures.values())))
+    return lambda kind, number, repeat: e_per_s * pictures.get(kind, nothing)
 
 
 BENT_MS = (25, 50, 100, 250, 500, 2000, 3916)

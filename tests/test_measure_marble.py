@@ -4,15 +4,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import tifffile
+from builders import film, of_kinds
 from scipy.interpolate import make_smoothing_spline
 
 from bssrdf.measure.session import measure_session
 from bssrdf.rig.sim.blurred import Radiance
 from bssrdf.rig.sim.light import SeenLight
 from bssrdf.rig.sim.picture import PictureGeometry, picture
-from bssrdf.session.frames_csv import write_frames
-from bssrdf.session.records import Beam, Camera, Frame, Geometry, Material, Reference, Session
+from bssrdf.session.records import Beam, Camera, Geometry, Material, Reference, Session
 from bssrdf.transport.discrete_ordinates import half_space
 from bssrdf.transport.exit_radiance import transmittance
 
@@ -58,7 +57,6 @@ def tile_picture(view):
 def write_session(path: Path, light: SeenLight, seed: int) -> Session:
     """Glare of 1e-5 of the sample's peak; the same unknown error of up to 3 % on each label of both."""
     rng = np.random.default_rng(seed)
-    (path / "frames").mkdir(parents=True)
     views = [
         PictureGeometry(SHAPE, MM_PER_PX, VIEW_DEG, centre_px=(136 + dx, 96 + dy), spot_radius_mm=SPOT_MM)
         for dx, dy in rng.uniform(-1, 1, (2, 2))
@@ -67,16 +65,7 @@ def write_session(path: Path, light: SeenLight, seed: int) -> Session:
     pictures = {"sample": sample + 1e-5 * sample.max(), "reference": tile_picture(views[1])}
     e_per_s = 0.7 * (WHITE - BLACK) / EXPOSURES_S[0] / max(image.max() for image in pictures.values())
     label_error = rng.uniform(-0.03, 0.03, len(EXPOSURES_S))
-    frames = []
-    for kind in ("sample", "sample_dark", "reference", "reference_dark"):
-        for number, exposure_s in enumerate(EXPOSURES_S):
-            mean = e_per_s * pictures.get(kind, np.zeros(SHAPE)) + 2.0
-            electrons = rng.poisson(mean * exposure_s * (1 + label_error[number])) + rng.normal(0, READ_NOISE_E, SHAPE)
-            dn = np.clip(np.rint(electrons) + BLACK, 0, WHITE).astype(np.uint16)
-            tifffile.imwrite(path / f"frames/{kind}_{number}.tif", dn)
-            frames.append(Frame(f"frames/{kind}_{number}.tif", kind, exposure_s))
-    write_frames(path, frames)
-    return Session(
+    session = Session(
         path,
         Camera("mono", BLACK, WHITE),
         Material("Marble", ETA),
@@ -84,6 +73,8 @@ def write_session(path: Path, light: SeenLight, seed: int) -> Session:
         Beam(channels=("G",), spot_radius_mm=SPOT_MM),
         Reference("tile", (RHO,)),
     )
+    true_s = [t * (1 + error) for t, error in zip(EXPOSURES_S, label_error, strict=True)]
+    return film(session, of_kinds(pictures, e_per_s), EXPOSURES_S, rng, true_s=true_s, read_noise_e=READ_NOISE_E)
 
 
 def errors(tmp_path: Path, light: SeenLight, seed: int):

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import tifffile
+from builders import film, of_kinds
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -14,6 +14,8 @@ from bssrdf.cli import cli
 from bssrdf.commands.console import BAD_INPUT, run
 from bssrdf.measure.hdr import NO_DATA, SATURATED, DarkPaired, Shot, merge
 from bssrdf.measure.profile import Points, bin_edges, profile
+from bssrdf.session.records import Beam, Camera, Geometry, Material, Reference, Session
+from bssrdf.session.session_toml import write_session
 from bssrdf.session.slice_csv import read_slice
 
 SHAPE = (24, 32)
@@ -94,32 +96,28 @@ def test_bins_hold_the_curve_whatever_its_fall_and_the_grid_and_a_glint_changes_
     np.testing.assert_allclose(glint.value[outer], plain.value[outer], rtol=0.02)
 
 
-def write_session(path: Path) -> list[Path]:
-    """A small session by hand; its frames."""
-    (path / "frames").mkdir(parents=True)
-    rng = np.random.default_rng(0)
+def small_session(path: Path) -> list[Path]:
+    """A small session on disk; its frames."""
     y, x = np.mgrid[:60, :80]
     r = 0.1 * np.hypot(x - 40, (y - 30) * 2**0.5)
     pictures = {"sample": 0.2 * np.exp(-r / 0.5), "reference": np.exp(-((r / 0.4) ** 2))}
-    rows = ["file,kind,exposure_s"]
-    for kind in ("sample", "sample_dark", "reference", "reference_dark"):
-        for t in (0.01, 0.04, 0.16, 0.64):
-            light = 3e6 * pictures.get(kind, 0 * r) * t
-            dn = np.clip(rng.poisson(light) + rng.normal(500, 3, r.shape), 0, 65535)
-            tifffile.imwrite(path / f"frames/{kind}_{t}.tif", dn.astype(np.uint16))
-            rows.append(f"frames/{kind}_{t}.tif,{kind},{t}")
-    (path / "frames.csv").write_text("\n".join(rows) + "\n")
-    (path / "session.toml").write_text(
-        "[material]\nname = 'wax'\neta = 1.4\n[camera]\nlayout = 'mono'\nblack = 500\n"
-        "[geometry]\nmm_per_px = 0.1\n[beam]\nspot_radius_mm = 0.4\n[reference]\nname = 'tile'\nreflectance = [0.99]\n"
+    session = Session(
+        path,
+        Camera("mono", black=500),
+        Material("wax", 1.4),
+        Geometry(0.1),
+        Beam(spot_radius_mm=0.4),
+        Reference("tile", (0.99,)),
     )
+    film(session, of_kinds(pictures, 3e6), (0.01, 0.04, 0.16, 0.64), np.random.default_rng(0))
+    write_session(path, session)
     return sorted((path / "frames").iterdir())
 
 
 def test_a_sample_brighter_than_white_is_an_error(tmp_path, capsys):
-    write_session(tmp_path / "s")
+    small_session(tmp_path / "s")
     file = tmp_path / "s/session.toml"
-    file.write_text(file.read_text().replace("[0.99]", "[1.19]").replace("'wax'", "'a lamp'"))
+    file.write_text(file.read_text().replace("[0.99]", "[1.19]").replace('"wax"', '"a lamp"'))
     frames = tmp_path / "s/frames.csv"
     swapped = {"reference": "sample", "sample": "reference"}
     frames.write_text(re.sub(r"(?<=,)(sample|reference)", lambda kind: swapped[kind[0]], frames.read_text()))
@@ -128,7 +126,7 @@ def test_a_sample_brighter_than_white_is_an_error(tmp_path, capsys):
 
 
 def test_a_band_without_pixels_is_an_error(tmp_path, capsys):
-    write_session(tmp_path / "s")
+    small_session(tmp_path / "s")
     assert run(cli, ["measure", str(tmp_path / "s"), "--quiet", "--band-mm", "1e-9"]) == BAD_INPUT
     assert "widen --band-mm" in capsys.readouterr().err
 
@@ -136,7 +134,7 @@ def test_a_band_without_pixels_is_an_error(tmp_path, capsys):
 @pytest.mark.parametrize("seed", range(8))
 def test_a_broken_frame_is_refused_with_one_line_or_measured(tmp_path, capsys, seed):
     rng = np.random.default_rng(seed)
-    victim = rng.choice(write_session(tmp_path / "s"))
+    victim = rng.choice(small_session(tmp_path / "s"))
     content = bytearray(victim.read_bytes())
     if seed % 2:
         content = content[: rng.integers(len(content))]

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import tifffile
+from builders import film, of_kinds
 
 from bssrdf.errors import InputError
 from bssrdf.fit.setting import setting_flags
@@ -15,7 +16,7 @@ from bssrdf.measure.total_errors import polarisation_rel_sd
 from bssrdf.session.frames_csv import read_frames, write_frames
 from bssrdf.session.hdr_image import read_hdr_exr
 from bssrdf.session.keys import keys_of
-from bssrdf.session.records import Beam, Camera, ChannelFit, Frame, Geometry, Material, Reference, Session
+from bssrdf.session.records import Beam, Camera, ChannelFit, Geometry, Material, Reference, Session
 from bssrdf.session.session_toml import TABLES
 from bssrdf.session.slice_csv import read_slice
 
@@ -51,21 +52,9 @@ def tile(r_mm):
 def write_session(
     path: Path, *, seed=0, sample=falloff, reference=tile, layout="RGGB", shape=SHAPE, e_per_s=None, sd=0.0049
 ):
-    rng = np.random.default_rng(seed)
-    (path / "frames").mkdir(parents=True)
     pictures = {"sample": picture(sample, shape=shape), "reference": picture(reference, (80, 60), shape)}
     e_per_s = e_per_s or 0.8 * (WHITE - BLACK) * GAIN / EXPOSURES_S[0] / max(p.max() for p in pictures.values())
-    frames = []
-    for kind in ("sample", "reference", "sample_dark", "reference_dark"):
-        light = pictures.get(kind, np.zeros(shape)) * e_per_s
-        for number, exposure_s in enumerate(EXPOSURES_S):
-            electrons = rng.poisson((light + 2.0) * exposure_s) + rng.normal(0, READ_NOISE_E, shape)
-            dn = np.clip(np.rint(electrons / GAIN) + BLACK, 0, WHITE).astype(np.uint16)
-            file = f"frames/{kind}_{number}.tif"
-            tifffile.imwrite(path / file, dn)
-            frames.append(Frame(file, kind, exposure_s))
-    write_frames(path, frames)
-    return Session(
+    session = Session(
         path,
         Camera(layout, BLACK, WHITE, GAIN, READ_NOISE_E),
         Material("wax", 1.4),
@@ -73,6 +62,8 @@ def write_session(
         Beam(channels=("633nm",) if layout == "mono" else None),
         Reference("tile", (RHO,), (sd,)),
     )
+    light, rng = of_kinds(pictures, e_per_s), np.random.default_rng(seed)
+    return film(session, light, EXPOSURES_S, rng, gain_e_per_dn=GAIN, read_noise_e=READ_NOISE_E)
 
 
 @pytest.fixture(scope="module")
@@ -234,7 +225,13 @@ def test_the_spots_radius_comes_from_the_tile_where_it_is_not_given(measured):
 
 def test_the_folder_measured_holds_images_and_slice_that_read_back(session, measured):
     folder = session.path / "measured"
-    assert sorted(file.name for file in folder.iterdir()) == ["reference.exr", "sample.exr", "slice.csv", "slice.png"]
+    assert sorted(file.name for file in folder.iterdir()) == [
+        "reference.exr",
+        "sample.exr",
+        "scene.png",
+        "slice.csv",
+        "slice.png",
+    ]
     parts, provenance = read_hdr_exr(folder / "sample.exr")
     np.testing.assert_array_equal(parts["radiance"], measured.images["sample"].radiance)
     assert len(provenance["sha256"]) == 4 * len(EXPOSURES_S)
