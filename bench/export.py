@@ -6,6 +6,7 @@ and R the total for light along the normal; under half a sky, the edge of a shad
 
 from __future__ import annotations
 
+import contextlib
 import json
 import subprocess
 import tempfile
@@ -146,8 +147,9 @@ def _cycles(
         ):
             assert process.stdin is not None
             assert process.stdout is not None
-            process.stdin.write("\n".join(map(json.dumps, orders)) + "\n")
-            process.stdin.close()
+            with contextlib.suppress(BrokenPipeError):  # it has ended, and said why on stderr
+                process.stdin.write("\n".join(map(json.dumps, orders)) + "\n")
+                process.stdin.close()
             answers = (json.loads(line[7:]) for line in process.stdout if line.startswith("ANSWER "))
             done = 0
             for job, answer in zip(jobs, answers, strict=False):

@@ -150,18 +150,21 @@ def _progress(done: int, total: int) -> None:
 
 
 @click.command(cls=Command)
-@click.argument("inputs", nargs=-1, type=FOLDER, metavar="[FIT_OR_SESSION]...")
+@click.argument("inputs", nargs=-1, type=FOLDER, metavar="[FIT_OR_SESSION_OR_FOLDER]...")
 @click.option("--format", "form", type=click.Choice(["md", "csv", "json", "latex"]), default="md", show_default=True)
 def table(inputs: tuple[Path, ...], form: Any) -> None:
     """Print the material table of fits, or the published one.
 
-    Without a fit the published one is checked against its own reflectances.
+    A folder stands for all fits in it. Without a fit the published one is
+    checked against its own reflectances.
     """
     from bssrdf.batch import read_fits, stale
     from bssrdf.report import fits_table, published_table
+    from bssrdf.session.fit_json import fits_in
 
-    fits = read_fits(inputs)
-    for message in filter(None, map(stale, inputs, fits)):
+    paths = [fit for given in inputs for fit in fits_in(given)]
+    fits = read_fits(paths)
+    for message in filter(None, map(stale, paths, fits)):
         warn(message)
     click.echo(fits_table(fits, form) if fits else published_table(form))
 

@@ -14,7 +14,7 @@ from pathlib import Path
 from bssrdf.errors import InputError
 from bssrdf.export.spread import Medium
 from bssrdf.export.text import identifier
-from bssrdf.session.fit_json import read_fit
+from bssrdf.session.fit_json import fits_in, read_fit
 from bssrdf.session.records import ChannelFit, Fit
 from bssrdf.transport import CHANNELS, find_material, load_materials, table_source
 
@@ -66,7 +66,7 @@ def find_materials(
         if path.suffix == ".json" or len(path.parts) > 1:
             raise InputError(f"{given}: does not exist; give a fit.json, a session, a folder of fits, or a name")
         return [_published(given, space)]
-    fits = _fits_in(path)
+    fits = [each / "fit.json" if each.is_dir() else each for each in fits_in(path)]
     said = _also_published(given)
     return _told_apart([_material(each, read_fit(each), channels, space, untrusted, said) for each in fits])
 
@@ -83,17 +83,6 @@ def _told_apart(materials: list[Material]) -> list[Material]:
         names.add(identifier(name).lower())
         materials[i] = replace(material, name=name)
     return materials
-
-
-def _fits_in(path: Path) -> list[Path]:
-    if path.is_file():
-        return [path]
-    if (path / "fit.json").is_file():
-        return [path / "fit.json"]
-    found = sorted([*path.glob("*.json"), *path.glob("*/fit.json")])
-    if not found:
-        raise InputError(f"{path}: holds no fit.json, nor does a folder in it; run `bssrdf fit {path}` first")
-    return found
 
 
 def _also_published(given: str) -> tuple[str, ...]:

@@ -59,6 +59,16 @@ def write_fit(path: Path, fit: Fit) -> None:
         part.write_text(text + "\n", encoding="utf-8")
 
 
+def fits_in(path: Path) -> list[Path]:
+    """The fits that a path stands for: itself if it is a file or a session, else all in a folder of either."""
+    if not path.is_dir() or (path / "fit.json").is_file():
+        return [path]
+    found = sorted([*path.glob("*.json"), *(fit.parent for fit in path.glob("*/fit.json"))])
+    if not found:
+        raise InputError(f"{path}: holds no fit.json, nor does a folder in it; run `bssrdf fit {path}` first")
+    return found
+
+
 def read_fit(path: Path) -> Fit:
     """The fit in `path`; InputError where it is not a fit.json of a known format."""
     try:

@@ -209,6 +209,15 @@ def test_folder_of_fits_gives_one_library_or_a_folder(tmp_path: Path, capsys: py
     assert sorted(path.name for path in (tmp_path / "all").iterdir()) == ["soap.py", "soap_2.py", "wax_½.py"]
 
 
+def test_table_takes_a_folder_of_fits_as_a_library(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for name in ("a", "b"):
+        written(tmp_path / "fits" / name / "fit.json", fit_document(material=name))
+    assert run(cli, ["table", str(tmp_path / "fits"), "--format", "json"]) == 0
+    rows = json.loads(capsys.readouterr().out)
+    assert [(row["material"], row["channel"]) for row in rows] == [(name, c) for name in "ab" for c in "RGB"]
+    assert run(cli, ["table", str(tmp_path / "fits" / "nothing")]) == 3
+
+
 def test_empty_folder_and_missing_file_are_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "nothing").mkdir()
     said = refused(capsys, 3, tmp_path / "nothing", "--to", "pbrt", "--out", tmp_path / "o.pbrt")
