@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import bssrdf
 from bssrdf.errors import BssrdfError, InputError
-from bssrdf.fit import SILENT, FitOptions, Making, fit_g, fit_joint, fit_slices, setting_flags
+from bssrdf.fit import SILENT, FitOptions, Making, fit_g, fit_joint, fit_slices
 from bssrdf.session.atomic import atomic_write, sha256_of
 from bssrdf.session.fit_json import read_fit, write_fit
 from bssrdf.session.flags import Flag
-from bssrdf.session.records import ChannelFit, Fit, Session, Slice
+from bssrdf.session.records import SAMPLE_KEYS, ChannelFit, Fit, Session, Slice
 from bssrdf.session.session_toml import read_session
 from bssrdf.session.slice_csv import HEADER, about, read_slice
 from bssrdf.session.slice_units import doubt
@@ -71,8 +71,6 @@ def fit_joint_files(
     pieces = [_read(path, keys) for path in inputs]
     _doubt(list(zip(inputs, pieces, strict=True)), options, warn)
     channels = fit_joint(pieces, options, making=making)
-    for path in inputs:
-        channels = _with_setting(path, channels)
     sources = [{"path": str(slice_file(path)), "sha256": sha256_of(slice_file(path))} for path in inputs]
     fit = _fit(inputs[0], pieces[0], channels, asked(options, keys) | {"joint": sources})
     if out is not None:
@@ -116,7 +114,16 @@ def _read(path: Path, keys: Mapping[str, Any]) -> Slice:
     source = slice_file(path)
     if path.is_dir() and not source.exists():
         raise InputError(f"{path}: has no measured/slice.csv; run `bssrdf measure {path}` first")
-    return read_slice(source, **keys)
+    return _with_sample(path, read_slice(source, **keys))
+
+
+def _with_sample(path: Path, piece: Slice) -> Slice:
+    """The slice, with what its session says of the sample where the slice itself, measured earlier, is silent."""
+    session, silent = _session(path), Slice({}, 1.0, "entering", "hemisphere")
+    if session is None or session.material is None:
+        return piece
+    keys = {key: getattr(session.material, key) for key in SAMPLE_KEYS}
+    return piece if any(getattr(piece, k) != getattr(silent, k) for k in SAMPLE_KEYS) else replace(piece, **keys)
 
 
 def _read_with_g(path: Path, keys: Mapping[str, Any]) -> Slice:
@@ -167,7 +174,6 @@ def _finish(
     """The fit with where it came from, written to where it belongs."""
     if isinstance(channels, BssrdfError):
         raise channels
-    channels = _with_setting(path, channels)
     if g_fitted:
         channels = {name: replace(channel, flags=(*channel.flags, Flag.G_FITTED)) for name, channel in channels.items()}
     fit = _fit(path, piece, channels, asked(options, keys))
@@ -175,17 +181,6 @@ def _finish(
     if target is not None:
         write_fit(target, fit)
     return fit
-
-
-def _with_setting(path: Path, channels: dict[str, ChannelFit]) -> dict[str, ChannelFit]:
-    """The fits with what their session says of the sample's mounting, each flag once."""
-    session = _session(path)
-    if session is None or session.material is None:
-        return channels
-    return {
-        name: replace(channel, flags=tuple(dict.fromkeys((*channel.flags, *setting_flags(session.material, channel)))))
-        for name, channel in channels.items()
-    }
 
 
 def asked(options: FitOptions, keys: Mapping[str, Any]) -> dict[str, Any]:

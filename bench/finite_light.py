@@ -8,14 +8,16 @@ from __future__ import annotations
 
 import functools
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.resources import as_file, files
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bssrdf.session.atomic import atomic_write
+from bssrdf.session.records import ChannelSlice, Slice
 from bssrdf.transport import MonteCarloMedium, find_material, simulate
 
 Floats = NDArray[np.float64]
@@ -29,6 +31,8 @@ BACKS: tuple[float | str, ...] = (0.0, 0.9, "air")
 DISHES_MM = (30.0, 50.0, 80.0)
 DISH_DEPTH_MM = 20.0
 EDGES_MFP = np.concatenate([[0.0], np.geomspace(0.5, 24.0, 25)])
+FAINTEST, NOISIEST = 1e-5, 0.15
+"""Annuli fainter than this, of the innermost, or noisier are not used."""
 PHOTONS_A_ROUND = 100_000
 SEED = 51_000
 
@@ -115,6 +119,50 @@ def dishes() -> list[Case]:
         for width_mm in DISHES_MM
         for wall in ("black", "air")
     ]
+
+
+def slice_of(case: Case, *, rel_sd: float = 0.01, total_rel_sd: float = 0.002, **keys: Any) -> Slice:
+    """The case's light as a slice of what is exactly known of its sample; `keys` win. No noise but the walk's."""
+    light = shipped()[case.name]
+    lo, hi = case.edges_mm[1:-1], case.edges_mm[2:]
+    rd, se = light.rd[1:], light.rd_se[1:]
+    good = (se < NOISIEST * rd) & (rd > FAINTEST * light.rd[1])
+    part = ChannelSlice(((lo + hi) / 2)[good], rd[good], np.hypot(se, rel_sd * rd)[good], lo[good], hi[good])
+    known: dict[str, Any] = {
+        "g": case.g,
+        "total_r": {case.channel: light.total},
+        "total_r_sd": {case.channel: float(np.hypot(total_rel_sd * light.total, light.total_se))},
+        "thickness_mm": case.depth_mm,
+        "thickness_sd_mm": 0.0,
+        "backing": case.back,
+        "backing_sd": 0.0,
+        "width_mm": case.width_mm,
+        "wall": None if case.width_mm is None else case.wall,
+    }
+    return Slice({case.channel: part}, case.eta, "entering", "hemisphere", **{**known, **keys})
+
+
+def drawn(case: Case, rng: np.random.Generator, *, depth_rel_sd: float = 0.02, back_sd: float = 0.03) -> Slice:
+    """A slice of the case by somebody who measured it: noise, scale, and what is stated of depth and back are drawn."""
+    noise, total_noise, scale_sd = 0.01, 0.002, 0.005
+    piece = slice_of(case, rel_sd=noise, total_rel_sd=total_noise)
+    part = piece.channels[case.channel]
+    scale = 1 + scale_sd * rng.standard_normal()
+    value = scale * part.rd_per_mm2 * (1 + noise * rng.standard_normal(part.r_mm.size))
+    total = scale * piece.total_r[case.channel] * (1 + total_noise * rng.standard_normal())
+    back = case.back
+    if not isinstance(back, str):
+        back = float(np.clip(back + back_sd * rng.standard_normal(), 0, 0.99))
+    return replace(
+        piece,
+        channels={case.channel: replace(part, rd_per_mm2=value)},
+        total_r={case.channel: total},
+        scale_rel_sd=scale_sd,
+        thickness_mm=case.depth_mm * (1 + depth_rel_sd * rng.standard_normal()),
+        thickness_sd_mm=depth_rel_sd * case.depth_mm,
+        backing=back,
+        backing_sd=back_sd,
+    )
 
 
 def more(case: Case, so_far: FiniteLight | None, photons: int, seed: int) -> FiniteLight:

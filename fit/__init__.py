@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     from bssrdf.fit.run import fit_joint as fit_joint
     from bssrdf.fit.run import fit_slice as fit_slice
     from bssrdf.fit.run import fit_slices as fit_slices
-    from bssrdf.fit.setting import setting_flags as setting_flags
     from bssrdf.fit.terms import Constraint as Constraint
     from bssrdf.fit.verdict import FEWEST as FEWEST
     from bssrdf.fit.verdict import MAX_LOST as MAX_LOST

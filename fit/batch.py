@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from bssrdf.errors import InputError
 from bssrdf.fit.compiled import FROM, settled
 from bssrdf.fit.errors import SCATTERED, Judged, judge
+from bssrdf.fit.held import Held, held, samples_of
 from bssrdf.fit.layout import Curves, camera_factor, curves_of, nodes_of, sight_of, total_of
 from bssrdf.fit.models import Making, beam_of, beside, table_of_medium
 from bssrdf.fit.solve import REST, Solution, optimise, settle, start, starts_of
@@ -110,18 +111,34 @@ def _key(job: Job, options: Options) -> Any:
     stated = tuple(_stated(piece) for piece in job.pieces)
     constraint = _constraint(job, options.constraint)
     totals = _totals(job, constraint)
-    return (first.eta, first.g, seen, binned, spot, stated, _sharing(job), constraint, totals, size)
+    samples = tuple(held(piece).kind for piece in job.pieces), _same(job, _depth_of), _same(job, _back_of)
+    return (first.eta, first.g, seen, binned, spot, stated, _sharing(job), constraint, totals, size, samples)
 
 
 def _stated(piece: Slice) -> tuple[bool, ...]:
     lengths = (piece.scale_rel_sd, piece.mm_rel_sd, piece.spot_radius_sd_mm, piece.view_angle_sd_deg)
-    return tuple(bool(sd) for sd in (*lengths, piece.eta_sd, piece.g_sd))
+    one = held(piece)
+    return tuple(bool(sd) for sd in (*lengths, piece.eta_sd, piece.g_sd, one.thickness_rel_sd, one.back_sd))
 
 
 def _sharing(job: Job) -> tuple[int, ...]:
     """For each slice the place of the first with the same `shared_errors`, else its own."""
     ids = [piece.shared_errors for piece in job.pieces]
     return tuple(ids.index(name) if name is not None else at for at, name in enumerate(ids))
+
+
+def _same(job: Job, of: Callable[[Held], tuple[float, ...]]) -> tuple[int, ...]:
+    """For each slice the place of the first whose sample is held alike, in this respect: they share its error."""
+    found = [of(held(piece)) for piece in job.pieces]
+    return tuple(found.index(each) for each in found)
+
+
+def _depth_of(one: Held) -> tuple[float, ...]:
+    return one.thickness, one.thickness_rel_sd, one.radius
+
+
+def _back_of(one: Held) -> tuple[float, ...]:
+    return one.back, one.back_sd
 
 
 def _constraint(job: Job, asked: Constraint | None) -> Constraint:
@@ -203,7 +220,10 @@ def problem_of(jobs: Sequence[Job], options: Options, model: Light, aside: Neigh
         shared=_shared(first, sights, sds, curves, model, aside),
     )
     measured = tuple(total_of(by_slice[k], names) for k in totals)
-    return plan, Problem(tuple(curves), measured, sds, tuple(_factor_slopes(piece) for piece in pieces))
+    samples = tuple(
+        () if sight.held == "half" else samples_of(each) for sight, each in zip(sights, by_slice, strict=True)
+    )
+    return plan, Problem(tuple(curves), measured, sds, tuple(_factor_slopes(piece) for piece in pieces), samples)
 
 
 def _sds(pieces: Sequence[Slice]) -> Sds:
@@ -217,6 +237,8 @@ def _sds(pieces: Sequence[Slice]) -> Sds:
         view=np.radians(column([p.view_angle_sd_deg for p in pieces])),
         eta=column([p.eta_sd for p in pieces]),
         g=column([p.g_sd for p in pieces]),
+        thickness=column([held(p).thickness_rel_sd for p in pieces]),
+        back=column([held(p).back_sd for p in pieces]),
     )
 
 
@@ -239,6 +261,13 @@ def _shared(
             if places:
                 found.append(Shared(source, places))
     found += [Shared("spot", (k,)) for k in touched([k for k in every if sights[k].blurred], "spot")]
+    for source, same in (("thickness", _same(job, _depth_of)), ("back", _same(job, _back_of))):
+        for first in sorted(set(same)):
+            places = touched([k for k in every if same[k] == first], source)
+            if places:
+                found.append(Shared(source, places))
+    finite = tuple(k for k in every if sights[k].held != "half")
+    found += [Shared("ratio", finite)] if finite else []
     for source in _OF_MEDIUM:
         if source in aside and touched(every, source):
             found.append(Shared(source, every))

@@ -10,6 +10,7 @@ import numpy as np
 
 from bssrdf.fit.solve import Solution, settle, start
 from bssrdf.fit.terms import Neighbours, Plan, Point, Problem
+from bssrdf.transport.arrays import ById
 from bssrdf.transport.light import Light
 
 FROM = 20_000
@@ -21,30 +22,17 @@ def settled(plan: Plan, model: Light, data: Problem, aside: Neighbours, rows: in
     import jax
 
     asked = {each.source for each in plan.shared} & set(aside)
-    run = _runner(plan, _Key(model), tuple(sorted(asked)), data.factor_slopes)
+    run = _runner(plan, ById(model), tuple(sorted(asked)), data.factor_slopes)
     extra = rows - data.curves[0].r_lo.shape[0]
-    arrays = (data.curves, data.totals, data.sds)
+    arrays = (data.curves, data.totals, data.sds, data.samples)
     padded = jax.tree.map(lambda x: np.concatenate([x, np.repeat(x[-1:], extra, axis=0)]) if extra else x, arrays)
     with jax.enable_x64(True), jax.numpy_rank_promotion("allow"):
         found: Solution = jax.tree.map(np.asarray, run(padded, {source: aside[source] for source in asked}))
     return jax.tree.map(lambda x: x[: rows - extra] if x.ndim else x, found)
 
 
-class _Key:
-    """A model by identity: its tables are built once and kept."""
-
-    def __init__(self, model: Light) -> None:
-        self.model = model
-
-    def __hash__(self) -> int:
-        return id(self.model)
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Key) and self.model is other.model
-
-
 @lru_cache(maxsize=16)
-def _runner(plan: Plan, key: _Key, _: tuple[str, ...], slopes: Any) -> Callable[..., Solution]:
+def _runner(plan: Plan, key: ById, _: tuple[str, ...], slopes: Any) -> Callable[..., Solution]:
     import jax
 
     from bssrdf.transport.arrays import JaxEngine
@@ -53,10 +41,10 @@ def _runner(plan: Plan, key: _Key, _: tuple[str, ...], slopes: Any) -> Callable[
     held: dict[str, Any] = {}
 
     @jax.jit
-    def run(curves: Any, totals: Any, sds: Any) -> Solution:
-        data = Problem(curves, totals, sds, slopes)
-        point, _ = start(engine, plan, key.model, data, 0)
-        return settle(engine, plan, key.model, data, Point(*point), held)
+    def run(curves: Any, totals: Any, sds: Any, samples: Any) -> Solution:
+        data = Problem(curves, totals, sds, slopes, samples)
+        point, _ = start(engine, plan, key.it, data, 0)
+        return settle(engine, plan, key.it, data, Point(*point), held)
 
     def call(arrays: tuple[Any, ...], aside: dict[str, Any]) -> Solution:
         held.update(aside)

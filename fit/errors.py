@@ -51,6 +51,7 @@ class Judged(NamedTuple):
     n: Any
     """(b,): radii in the window, a faded one in part."""
     total_r: Any
+    total_r_half_space: Any
     pull: Any
     """(b,): R measured less that of the curve alone, in sd, which grow by the misfit; 0 where R is not a datum."""
     runs_z: Any
@@ -71,12 +72,12 @@ def judge(e: Engine, plan: Plan, model: Light, data: Problem, found: Solution) -
     """Linear error propagation about the optimum, and tests of the residuals."""
     xp = e.xp
     at, laid, by = found.point, found.laid, found.weights
-    seen = look(e, plan, model, laid, at)
-    looks, totals = seen.curves, totals_of(e, data, laid, seen)
+    seen = look(e, plan, model, data, laid, at)
+    looks, totals = seen.curves, totals_of(e, plan, data, laid, seen)
     rows = [rows_of(e, laid, each, k) for k, each in enumerate(looks)]
     full = system(e, plan, data, laid, seen, totals, by)
     answer = _answer(e, plan, totals, full.matrix)
-    w2 = [squares(e, plan, model, data, at, each[0], k) for k, each in enumerate(looks)]
+    w2 = [squares(e, plan, model, data, laid, at, each[0], k) for k, each in enumerate(looks)]
     used = tuple((window(e, model, c, at.log_sigma) > 0.5) & (m > 0) for c, m in zip(data.curves, by.mass, strict=True))
     n = sum(((c.known != 0).sum(2) * window(e, model, c, at.log_sigma)).sum(1) for c in data.curves)
     in_force = [each * _rescaled(xp, each, mass) for each, mass in zip(w2, by.mass, strict=True)]
@@ -91,7 +92,7 @@ def judge(e: Engine, plan: Plan, model: Light, data: Problem, found: Solution) -
         variance = xp.where(c.errors_known[..., None], 1 / xp.maximum(c.known, 1e-300) ** 2, 0.0)
         unknown = xp.where(c.errors_known[..., None], 0.0, force * chi2[:, None, None])
         noise = noise + _gram(xp, x, xp.where(force > 0, force**2 * variance + unknown, 0.0).sum(2))
-        off = model_sd(e, plan, model, data, at, seen_k[0], k)
+        off = model_sd(e, plan, model, data, laid, at, seen_k[0], k)
         allowed = allowed + _gram(xp, x, xp.where(c.errors_known, mass * off, 0.0) ** 2)
     own = sources["noise"] = _seen(xp, answer, noise)
     if model.name == "mc":
@@ -107,7 +108,8 @@ def judge(e: Engine, plan: Plan, model: Light, data: Problem, found: Solution) -
         chi2=chi2,
         grown=grown,
         n=n,
-        total_r=seen.total[0][:, 0],
+        total_r=seen.totals[0][0][:, 0],
+        total_r_half_space=seen.half[:, 0],
         pull=pull / xp.sqrt(grown / found.ease),
         runs_z=runs_z,
         drift=_drift(e, laid, looks, by, found.shared, grown / found.ease),
@@ -162,8 +164,8 @@ def _by_totals(
     b = found.point.q.shape[0]
     pull, total_answer = xp.zeros(b), xp.zeros(answer.shape[:2])
     covariance = xp.zeros((b, 2, 2))
-    for measured, law, gap, row in zip(data.totals, found.laid.total_seen, *totals, strict=True):
-        value, sd = measured.r / law - gap, measured.sd
+    for measured, law, gap, row, sd in zip(data.totals, found.laid.total_seen, *totals, strict=True):
+        value = measured.r / law - gap
         if plan.exact:
             shift = xp.asarray(np.eye(row.shape[1])[1]) / row[:, 1:2]
             moved = shift - xp.matmul(answer, xp.matmul(matrix, shift[:, :, None]))[:, :, 0]

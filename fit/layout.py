@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from bssrdf.fit.held import Kind, held
 from bssrdf.session.records import ChannelSlice, Slice
 from bssrdf.transport.light import exit_norm, transmittance
 
@@ -47,6 +48,8 @@ class Sight(NamedTuple):
     blurred: bool
     blur_inner: int
     """Radii, in order, whose blur takes 48 nodes."""
+    held: Kind
+    """What back and walls the sample has."""
 
 
 class Curves(NamedTuple):
@@ -183,7 +186,7 @@ def _window(piece: Slice, window_mm: tuple[float, float] | None) -> tuple[float,
     lo, hi = window_mm or (0.0, math.inf)
     tilted = piece.exit == "fresnel" and piece.view_angle_deg > 0 and piece.azimuth == "perpendicular"
     band = (piece.band_mm or 0.0) if tilted else 0.0
-    return max(lo, RADII_FROM_SPOT * (piece.spot_radius_mm or 0.0), band / 2), hi
+    return max(lo, RADII_FROM_SPOT * (piece.spot_radius_mm or 0.0), band / 2), min(hi, held(piece).reach)
 
 
 class Nodes(NamedTuple):
@@ -228,6 +231,7 @@ def sight_of(piece: Slice, curves: Curves, *, blurred: bool | None = None) -> Si
         inner=min(int(nodes.inner.max()), size) if binned else 0,
         blurred=blurred,
         blur_inner=min(int(nodes.blur_inner.max()), size) if blurred else 0,
+        held=held(piece).kind,
     )
 
 

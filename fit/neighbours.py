@@ -12,11 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bssrdf.fit.errors import Judged, judge
+from bssrdf.fit.finite import curve_off
 from bssrdf.fit.layout import Total
 from bssrdf.fit.models import Truth
 from bssrdf.fit.observe import NEAREST_MFP
 from bssrdf.fit.solve import REST, Solution, optimise, settle
-from bssrdf.fit.terms import Laid, Neighbours, Plan, Point, Problem, Weights, curve, lay
+from bssrdf.fit.terms import Laid, Neighbours, Plan, Point, Problem, Weights, curve, lay, look
 from bssrdf.transport import R_ZERO, V_MAX
 from bssrdf.transport.arrays import NUMPY
 from bssrdf.transport.light import Light, WhiteTable, coefficients, dipole, shape_of
@@ -52,6 +53,16 @@ def table_error(model: WhiteTable, data: Problem, found: Solution, judged: Judge
     edges = R_ZERO * np.expm1(np.linspace(0, 1, knots) * V_MAX)
     sd = model.shape_sd(E, q, np.broadcast_to(edges, (q.shape[0], knots)))
     return np.sqrt(np.square(by_knot * sd[:, None, :]).sum(2))
+
+
+def sample_error(found: Solution, judged: Judged) -> Floats:
+    """From what the ratio to a half space may be off by, in the curve; it stands in the interval too."""
+    moved = np.zeros((found.point.q.shape[0], 2))
+    for laid, answer in zip(found.laid.samples, judged.answer, strict=True):
+        if laid:
+            per_radius = to_log(found.point.q) @ answer[:, :2]
+            moved += (per_radius * curve_off(laid.log_ratio)[:, None, :]).sum(2)
+    return np.abs(moved)
 
 
 def sensitivities(plan: Plan, model: Light, found: Solution, judged: Judged, beside: Neighbours) -> dict[str, Floats]:
@@ -125,8 +136,10 @@ def _light_of(plan: Plan, truth: Light, data: Problem, at: Point) -> _Light:
     bare = plan._replace(shared=())
     laid: Laid = lay(E, bare, truth, data, at, {})
     means = tuple(curve(E, bare, truth, laid, at, k)[0] for k in range(len(plan.sights)))
+    looked = look(E, bare, truth, data, laid, at)
     totals = tuple(
-        Total(truth.total(E, at.q)[0] * seen, each.sd) for each, seen in zip(data.totals, laid.total_seen, strict=True)
+        Total(total[0] * seen, each.sd)
+        for each, total, seen in zip(data.totals, looked.totals, laid.total_seen, strict=False)
     )
     return _Light(data._replace(totals=totals), means)
 

@@ -23,7 +23,8 @@ from bssrdf.fit.models import (
     tabulated,
     truth_of,
 )
-from bssrdf.fit.neighbours import bias, dipole_on_light, refitted, sensitivities, table_error, to_log
+from bssrdf.fit.neighbours import bias, dipole_on_light, refitted, sample_error, sensitivities, table_error, to_log
+from bssrdf.fit.sample_verdict import is_thin
 from bssrdf.fit.terms import Constraint
 from bssrdf.fit.verdict import FEWEST, Extra, channel_fits, covariances, needs_profile
 from bssrdf.session.flags import Flag
@@ -161,15 +162,16 @@ def _subset(fitted: Fitted, rows: np.ndarray) -> Fitted:
 def extra_of(fitted: Fitted, making: Making) -> Extra:
     """What further models say of a batch."""
     extra = Extra(_profiles(fitted), [{}] * len(fitted.jobs), _slopes(fitted), _others(fitted), None, True)
+    of_sample = sample_error(fitted.found, fitted.judged)
     if isinstance(fitted.model, WhiteTable):
-        error = table_error(fitted.model, fitted.data, fitted.found, fitted.judged)
+        error = np.hypot(of_sample, table_error(fitted.model, fitted.data, fitted.found, fitted.judged))
         return extra._replace(model_error=_by_name(error))
     piece = fitted.jobs[0].pieces[0]
     truth = truth_of(piece, fitted.options.tables, making)
     if truth is None:
         return extra._replace(checked=False)
     found = bias(fitted.plan, truth, fitted.data, fitted.found)
-    return extra._replace(model_error=_by_name(found.error), bias=found, checked=truth.own)
+    return extra._replace(model_error=_by_name(np.hypot(of_sample, found.error)), bias=found, checked=truth.own)
 
 
 def _by_name(error: np.ndarray) -> list[dict[str, float]]:
@@ -195,7 +197,8 @@ def _slopes(fitted: Fitted) -> list[dict[str, float]]:
 def _others(fitted: Fitted) -> list[tuple[str, ...]]:
     """Flags of rows whose curve does not fit here and far better under another g or η, with other coefficients."""
     raised: list[tuple[str, ...]] = [() for _ in fitted.jobs]
-    poor = np.flatnonzero(surely_poor(fitted.judged) & fitted.found.converged)
+    thin = np.array([is_thin(fitted, row) for row in range(len(fitted.jobs))])
+    poor = np.flatnonzero(surely_poor(fitted.judged) & fitted.found.converged & ~thin)
     piece = fitted.jobs[0].pieces[0]
     if not poor.size or fitted.model.name != "mc" or beam_of(piece) != NORMAL:
         return raised

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from bssrdf.fit.finite import q_of_sample, scanned
 from bssrdf.fit.layout import Total
 from bssrdf.fit.terms import (
     Gaps,
@@ -26,6 +27,7 @@ from bssrdf.fit.terms import (
     costly,
     curve,
     elimination,
+    held_any,
     keeping,
     lay,
     lay_plainly,
@@ -37,6 +39,7 @@ from bssrdf.fit.terms import (
 )
 from bssrdf.transport import R_MAX
 from bssrdf.transport.arrays import Engine
+from bssrdf.transport.finite import Sample
 from bssrdf.transport.light import Light, q_of_total
 
 MAX_STEPS = 40
@@ -126,13 +129,13 @@ def start(e: Engine, plan: Plan, model: Light, data: Problem, number: int) -> tu
     """The rough optimum from one of several places, and its misfit (b,): inf where it lost its radii."""
     few, plain = _few_of(e, plan, data)
     if plan.totals:
-        q = q_of_total(e, model, e.xp.minimum(data.totals[0].r, 1.0))
+        q = q_of_total(e, model, e.xp.minimum(data.totals[0].r, 1.0))  # of a sample for each scale, in `_scanned`
         qs = [e.xp.clip(q * ABOUT[number], 1e-6, model.q_max)]
     else:
         zero = 0 * data.curves[0].spot_radius
         qs = [zero + q for q in Q_GRID.reshape(VALLEYS, -1)[number]]
-    begun = _scanned(e, model, few, qs, plan.scale_free)
-    laid = lay_plainly(e, plain, few, begun)
+    begun = _scanned(e, plan, model, few, qs, number)
+    laid = lay_plainly(e, plain, model, few, begun)
     ended = optimise(e, plain, model, few, laid, begun, ROUGH, relay=True, most=START_STEPS)
     finite = e.xp.isfinite(sum(ended.point))
     point = Point(*(e.xp.where(finite, new, old) for new, old in zip(ended.point, begun, strict=True)))
@@ -191,7 +194,7 @@ def optimise(
     zeros = xp.zeros(b)
 
     def reduced(data: Problem, laid: Laid, seen: Looked, by: Weights) -> Marginal:
-        gaps = totals_of(e, data, laid, seen)
+        gaps = totals_of(e, plan, data, laid, seen)
         return marginal(e, plan, gaps, system(e, plan, data, laid, seen, gaps, by), columns)
 
     def ahead(best: Point, here: Marginal, damping: Any) -> tuple[Any, Any, Point]:
@@ -204,7 +207,7 @@ def optimise(
         return move, errors, _moved(e, plan, model, best, here, move, errors, columns)
 
     def step(s: _State, data: Problem) -> _State:
-        seen, laid, by = look(e, plan, model, s.laid, s.trial), s.laid, s.weights
+        seen, laid, by = look(e, plan, model, data, s.laid, s.trial), s.laid, s.weights
         if beside is not None:
             laid = answering(e, plan, model, data, laid, s.trial, beside, seen.curves)
         if relay:
@@ -222,7 +225,7 @@ def optimise(
         return _State(trial, errors, best, laid, here, by, damping, s.steps + 1, done)
 
     shared = xp.zeros((b, laid.responses[0].shape[1])) if shared is None else shared
-    seen = look(e, plan, model, laid, begin)
+    seen = look(e, plan, model, data, laid, begin)
     by = weigh(e, plan, model, data, laid, begin, seen, shared) if weights is None else weights
     here = reduced(data, laid, seen, by)
     _, errors, trial = ahead(begin, here, zeros)
@@ -277,8 +280,10 @@ def _moved(
         q_move = xp.clip(missing - (falls * every).sum(1, keepdims=True), -0.5, 0.5)
     q = xp.clip(at.q + q_move, -model.q_max, model.q_max)
     q = xp.where(at.q > 0, xp.maximum(q, at.q / LEAST_Q_STEP - PAST_ZERO), q)
-    if not plan.totals:
-        q = xp.abs(q)  # a curve alone is even in q
+    if here.keeps is not None and held_any(plan):
+        q = xp.maximum(q, 0.0)
+    elif not plan.totals or held_any(plan):
+        q = xp.abs(q)  # a curve alone is even in q, and so is all light of a finite sample
     return Point(at.log_sigma + s, q, at.log_scale + c)
 
 
@@ -325,7 +330,7 @@ def _few_of(e: Engine, plan: Plan, data: Problem) -> tuple[Problem, Plan]:
     return data._replace(curves=curves, totals=totals), plan._replace(sights=plain, shared=(), robust=False)
 
 
-def _scanned(e: Engine, model: Light, few: Problem, qs: list[Any], scale_free: bool) -> Point:
+def _scanned(e: Engine, plan: Plan, model: Light, few: Problem, qs: list[Any], number: int) -> Point:
     """The scale of a grid whose curve of one of these q is nearest, in the logarithm."""
     xp = e.xp
     r = xp.concatenate([c.few_r[:, ::SCANNED] for c in few.curves], axis=1)
@@ -337,26 +342,54 @@ def _scanned(e: Engine, model: Light, few: Problem, qs: list[Any], scale_free: b
     log_sigma = xp.asarray(LOG_EXTENT)[None, :] - xp.log(xp.max(xp.where(good, r, TINY_MOVE), axis=1, keepdims=True))
     log_sigma = xp.where(good.any(1)[:, None], log_sigma, 0.0)
     x = xp.maximum((xp.exp(log_sigma)[:, :, None] * r[:, None, :]).reshape(b, -1), 1e-3)
-    costs, offsets = [], []
+    costs, offsets, every_q = [], [], []
     for q in qs:
-        shape = xp.log(xp.maximum(model.look(e, q, x)[0], 1e-300)).reshape(b, -1, n)
+        at = _q_in_sample(e, plan, model, few, log_sigma, q, number)
+        by_x = (xp.zeros((b, 1, n)) + at[:, :, None]).reshape(b, -1) if held_any(plan) else q
+        shape = xp.log(xp.maximum(model.look(e, by_x, x)[0], 1e-300)).reshape(b, -1, n)
+        shape = shape + _of_samples(e, plan, model, few, log_sigma, at)
         difference = log_rd[:, None, :] - shape - 2 * log_sigma[:, :, None]
         offset = (weight[:, None, :] * difference).sum(2)
-        misfit = (weight[:, None, :] * xp.abs(difference - (offset[..., None] if scale_free else 0.0))).sum(2)
+        misfit = (weight[:, None, :] * xp.abs(difference - (offset[..., None] if plan.scale_free else 0.0))).sum(2)
         costs.append(misfit)
         offsets.append(offset)
-    cost, offset = xp.stack(costs, 1).reshape(b, -1), xp.stack(offsets, 1).reshape(b, -1)
+        every_q.append(at)
+    cost, offset, all_q = (xp.stack(each, 1).reshape(b, -1) for each in (costs, offsets, every_q))
     best = xp.argmin(xp.where(xp.isfinite(cost), cost, np.inf), axis=1)[:, None]
-    q = xp.take_along_axis(xp.concatenate(qs, axis=1), best // LOG_EXTENT.size, axis=1)
+    q = xp.take_along_axis(all_q, best, axis=1)
     found = xp.take_along_axis(log_sigma, best % LOG_EXTENT.size, axis=1)
     c = xp.take_along_axis(offset, best, axis=1)
-    return Point(found, q, c if scale_free else 0 * c)
+    return Point(found, q, c if plan.scale_free else 0 * c)
+
+
+def _q_in_sample(e: Engine, plan: Plan, model: Light, few: Problem, log_sigma: Any, q: Any, number: int) -> Any:
+    """(b, s): q at each scale; in a sample whose R is known that hangs on the scale."""
+    xp = e.xp
+    if not plan.totals or plan.sights[plan.totals[0]].held == "half":
+        return q + 0 * log_sigma
+    b, s = log_sigma.shape
+    sample = Sample(*((each + 0 * log_sigma).reshape(-1, 1) for each in few.samples[plan.totals[0]]))
+    total_r = (few.totals[0].r + 0 * log_sigma).reshape(-1, 1)
+    found = q_of_sample(e, model, False, sample, log_sigma.reshape(-1, 1), total_r)  # the wall is left for later
+    return xp.clip(found.reshape(b, s) * ABOUT[number], 1e-3, model.q_max)
+
+
+def _of_samples(e: Engine, plan: Plan, model: Light, few: Problem, log_sigma: Any, q: Any) -> Any:
+    """ln of what the samples make of the scanned radii, (b, s, n)."""
+    if not held_any(plan):
+        return 0.0
+    parts = [
+        scanned(e, model, sample, log_sigma, q, c.few_r[:, ::SCANNED]) if sample
+        else 0 * (log_sigma[:, :, None] + c.few_r[:, None, ::SCANNED])
+        for sample, c in zip(few.samples, few.curves, strict=True)
+    ]  # fmt: skip
+    return e.xp.concatenate(parts, axis=2)
 
 
 def _misfit(e: Engine, plain: Plan, model: Light, few: Problem, at: Point) -> Any:
     """Mean square of the relative misfit, cut at LOST for radii that the model does not reach or misses altogether."""
     xp = e.xp
-    laid = lay_plainly(e, plain, few, at)
+    laid = lay_plainly(e, plain, model, few, at)
     squares, count = 0.0, 0.0
     for k, c in enumerate(few.curves):
         value = curve(e, plain, model, laid, at, k)[0]

@@ -13,6 +13,7 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
+from bssrdf.fit.finite import TOTAL_OFF, Errors, Sampled, curve_off, further, q_of_sample, sampled, total_look
 from bssrdf.fit.layout import Curves, Sight, Total
 from bssrdf.fit.observe import (
     NEAREST_MFP,
@@ -31,7 +32,7 @@ from bssrdf.transport.arrays import Engine
 from bssrdf.transport.light import KNOT_STEP, Light, q_of_total
 
 Constraint = Literal["exact", "soft", "none"]
-Source = Literal["scale", "length", "spot", "view", "exit", "table", "eta", "g"]
+Source = Literal["scale", "length", "spot", "view", "exit", "table", "eta", "g", "thickness", "back", "ratio"]
 HUBER = 1.345
 """Standard deviations from which on a residual counts linearly: 95 % efficient on normal noise (Huber 1981)."""
 TABLE_MODES = 4
@@ -41,6 +42,7 @@ EXIT_MODES = 2
 FADE = 0.1
 """In ln r: over this a radius passes out of a window that hangs on the fit itself, so that no result jumps there."""
 OF_MEDIUM: tuple[Source, ...] = ("eta", "g")
+OF_SAMPLE: tuple[Source, ...] = ("thickness", "back")
 OF_CURVE: tuple[Source, ...] = ("length", *OF_MEDIUM)
 """Errors whose responses ask for the curve itself."""
 SLOPE_Q = 1e-4
@@ -96,6 +98,10 @@ class Sds(NamedTuple):
     view: Any
     eta: Any
     g: Any
+    thickness: Any
+    """Relative."""
+    back: Any
+    """Of its reflectance."""
 
 
 class Problem(NamedTuple):
@@ -106,6 +112,8 @@ class Problem(NamedTuple):
     sds: tuple[Sds, ...]
     factor_slopes: tuple[tuple[float, float], ...]
     """By slice, d ln of the slice's convention by view angle [1/rad] and by η."""
+    samples: tuple[Any, ...]
+    """By slice a `Sample`, empty for a half space."""
 
 
 class Point(NamedTuple):
@@ -126,6 +134,8 @@ class Laid(NamedTuple):
     total_seen: tuple[Any, ...]
     total_responses: tuple[Any, ...]
     """By total, (b, K): of ln R."""
+    samples: tuple[Any, ...]
+    """By slice a `Sampled`, empty for a half space."""
 
 
 class Looked(NamedTuple):
@@ -133,8 +143,10 @@ class Looked(NamedTuple):
 
     curves: tuple[tuple[Any, Any, Any], ...]
     """By slice, (b, u) each: what is seen [1/mm²] and its slopes by ln σt′ and q."""
-    total: tuple[Any, Any]
-    """R and its slope by q, taken beside q = 0."""
+    totals: tuple[tuple[Any, Any, Any], ...]
+    """By total: R and its slopes by ln σt′ and q, the latter taken beside q = 0."""
+    half: Any
+    """R of a half space."""
 
 
 class Gaps(NamedTuple):
@@ -144,6 +156,8 @@ class Gaps(NamedTuple):
     """(b, 1): R measured less that of the model."""
     rows: tuple[Any, ...]
     """(b, P): slopes of the model's by every parameter."""
+    sds: tuple[Any, ...]
+    """(b, 1): of R measured, and of what back and wall make of it."""
 
 
 class Weights(NamedTuple):
@@ -175,7 +189,22 @@ def lay(
     grid = grid or tuple(nodes(e, sight, c) for sight, c in sights)
     seen = tuple(seen_at(e, sight, model, c, at.log_sigma, at.q) for sight, c in sights)
     light = tuple(total_seen(e, plan.sights[k], model, at.q) for k in plan.totals)
-    return answering(e, plan, model, data, Laid(grid, seen, (), light, ()), at, beside)
+    samples = _samples(e, plan, model, data, at, plain=False)
+    return answering(e, plan, model, data, Laid(grid, seen, (), light, (), samples), at, beside)
+
+
+def _samples(e: Engine, plan: Plan, model: Light, data: Problem, at: Point, *, plain: bool) -> tuple[Any, ...]:
+    """Of each slice, at the root mean square radius of its annuli."""
+
+    def of(k: int) -> Any:
+        c, sample, kind = data.curves[k], data.samples[k], plan.sights[k].held
+        if kind == "half":
+            return ()
+        r = e.xp.sqrt((c.r_lo * c.r_lo + c.r_hi * c.r_hi) / 2)
+        errors = Errors(data.sds[k].thickness, data.sds[k].back)
+        return sampled(e, model, kind == "dish", sample, errors, at.log_sigma, at.q, r, plain=plain)
+
+    return tuple(of(k) for k in range(len(plan.sights)))
 
 
 def answering(
@@ -186,22 +215,30 @@ def answering(
         looks = tuple(curve(e, plan, model, laid, at, k) for k in range(len(plan.sights)))
     return laid._replace(
         responses=tuple(_responses(e, plan, model, data, laid, at, looks, beside, k) for k in range(len(plan.sights))),
-        total_responses=tuple(_total_responses(e, plan, model, data, at, beside, k) for k in plan.totals),
+        total_responses=tuple(_total_responses(e, plan, model, data, laid, at, beside, k) for k in plan.totals),
     )
 
 
 def costly(plan: Plan) -> bool:
-    """Whether laying anew costs more than a step of the search: spot, camera, or a model a little aside."""
-    return any(s.blurred or s.camera for s in plan.sights) or any(each.source in OF_MEDIUM for each in plan.shared)
+    """Whether laying anew costs more than a step of the search: spot, camera, sample, or a model a little aside."""
+    return any(s.blurred or s.camera or s.held != "half" for s in plan.sights) or any(
+        each.source in OF_MEDIUM for each in plan.shared
+    )
 
 
-def lay_plainly(e: Engine, plan: Plan, data: Problem, at: Point) -> Laid:
+def held_any(plan: Plan) -> bool:
+    """Whether a slice is of a finite sample."""
+    return any(s.held != "half" for s in plan.sights)
+
+
+def lay_plainly(e: Engine, plan: Plan, model: Light, data: Problem, at: Point) -> Laid:
     """A narrow beam, seen over all directions, and no shared error: for a start."""
     grid = tuple(nodes(e, sight, c) for sight, c in zip(plan.sights, data.curves, strict=True))
     seen = tuple(plain(e, at.log_sigma, at.q) for _ in data.curves)
     none = tuple(e.xp.zeros((c.r_lo.shape[0], 0, c.r_lo.shape[1])) for c in data.curves)
     ones = tuple(e.xp.ones_like(at.q) for _ in plan.totals)
-    return Laid(grid, seen, none, ones, tuple(e.xp.zeros((at.q.shape[0], 0)) for _ in plan.totals))
+    samples = _samples(e, plan, model, data, at, plain=True)
+    return Laid(grid, seen, none, ones, tuple(e.xp.zeros((at.q.shape[0], 0)) for _ in plan.totals), samples)
 
 
 def curve(e: Engine, plan: Plan, model: Light, laid: Laid, at: Point, k: int) -> tuple[Any, Any, Any]:
@@ -213,33 +250,53 @@ def curve(e: Engine, plan: Plan, model: Light, laid: Laid, at: Point, k: int) ->
     seen = laid.seen[k]
     ahead = seen.by_log_sigma * (at.log_sigma - seen.log_sigma) + seen.by_q * (at.q - seen.q)
     ratio = sigma * sigma * xp.exp(seen.log_ratio + xp.clip(ahead, -1, 1) + at.log_scale)
+    sample_s, sample_q = 0.0, 0.0
+    if laid.samples[k]:
+        of_sample, sample_s, sample_q = further(e, laid.samples[k], at.log_sigma, at.q)
+        ratio = ratio * xp.exp(of_sample)
     value, by_x, by_q = (ratio * each for each in narrow)
-    return value, value * (2 + seen.by_log_sigma) + by_x, by_q + value * seen.by_q
+    return value, value * (2 + seen.by_log_sigma + sample_s) + by_x, by_q + value * (seen.by_q + sample_q)
 
 
-def look(e: Engine, plan: Plan, model: Light, laid: Laid, at: Point) -> Looked:
+def look(e: Engine, plan: Plan, model: Light, data: Problem, laid: Laid, at: Point) -> Looked:
     """All that the objective asks of the model at a point."""
     curves = tuple(curve(e, plan, model, laid, at, k) for k in range(len(plan.sights)))
     beside_0 = e.xp.maximum(e.xp.abs(at.q), SLOPE_Q)
     value, slope = model.total(e, e.xp.concatenate([at.q, beside_0], axis=1))
-    return Looked(curves, (value[:, :1], slope[:, 1:]))
+    half = value[:, :1], 0.0 * at.q, slope[:, 1:]
+
+    def of(k: int) -> tuple[Any, Any, Any]:
+        kind = plan.sights[k].held
+        if kind == "half":
+            return half
+        return total_look(e, model, kind == "dish", data.samples[k], at.log_sigma, beside_0)
+
+    return Looked(curves, tuple(of(k) for k in plan.totals or (0,)), half[0])
 
 
-def totals_of(e: Engine, data: Problem, laid: Laid, seen: Looked) -> Gaps:
+def totals_of(e: Engine, plan: Plan, data: Problem, laid: Laid, seen: Looked) -> Gaps:
     """R measured against that of the model."""
     xp = e.xp
-    value, by_q = seen.total
-    zero = xp.zeros_like(value)
-    gaps = tuple(each.r / law - value for each, law in zip(data.totals, laid.total_seen, strict=True))
-    rows = tuple(xp.concatenate([zero, by_q, zero, value * each], axis=1) for each in laid.total_responses)
-    return Gaps(gaps, rows)
+    gaps, rows, sds = [], [], []
+    for k, each, law, (value, by_s, by_q), response in zip(
+        plan.totals, data.totals, laid.total_seen, seen.totals, laid.total_responses, strict=False
+    ):
+        gaps.append(each.r / law - value)
+        rows.append(xp.concatenate([by_s, by_q, xp.zeros_like(value), value * response], axis=1))
+        sds.append(xp.hypot(each.sd, total_off(e, laid.samples[k]) * each.r) if laid.samples[k] else each.sd)
+    return Gaps(tuple(gaps), tuple(rows), tuple(sds))
+
+
+def total_off(e: Engine, laid: Sampled) -> Any:
+    """Relative, (b, 1): what the ratio to a half space may be off by."""
+    return TOTAL_OFF * e.xp.abs(laid.log_total)
 
 
 def keeping(plan: Plan, totals: Gaps) -> tuple[Any, Any] | None:
     """Where R is a condition: (b, P) what q falls by as each other parameter grows, and (b, 1) what it lacks."""
     if not plan.exact:
         return None
-    (gap,), (row,) = totals
+    (gap,), (row,), _ = totals
     return row / row[:, 1:2], gap / row[:, 1:2]
 
 
@@ -257,7 +314,12 @@ def meeting(e: Engine, plan: Plan, model: Light, data: Problem, laid: Laid, at: 
     if not plan.exact:
         return at
     seen = data.totals[0].r / laid.total_seen[0]
-    return at._replace(q=e.xp.where(seen < 1, q_of_total(e, model, e.xp.minimum(seen, 1.0)), at.q))
+    kind, least = plan.sights[plan.totals[0]].held, e.xp.minimum(seen, 1.0)
+    if kind == "half":
+        q = q_of_total(e, model, least)
+    else:
+        q = q_of_sample(e, model, kind == "dish", data.samples[plan.totals[0]], at.log_sigma, least)
+    return at._replace(q=e.xp.where(seen < 1, q, at.q))
 
 
 def weigh(
@@ -268,7 +330,7 @@ def weigh(
     masses, means = [], []
     for k, c in enumerate(data.curves):
         value = seen.curves[k][0]
-        w2 = squares(e, plan, model, data, at, value, k)
+        w2 = squares(e, plan, model, data, laid, at, value, k)
         if plan.robust:
             w2 = w2 * _huber(e, c, w2, value * (1 + answer_of(e, laid.responses[k], shared)))
         mass = over_data(w2)
@@ -287,23 +349,26 @@ def answer_of(e: Engine, responses: Any, shared: Any) -> Any:
     return e.xp.matmul(shared[:, None, :], responses)[:, 0]
 
 
-def squares(e: Engine, plan: Plan, model: Light, data: Problem, at: Point, value: Any, k: int) -> Any:
+def squares(e: Engine, plan: Plan, model: Light, data: Problem, laid: Laid, at: Point, value: Any, k: int) -> Any:
     """w² of each datum (b, u, m): 1/(sd² + what the model may be off by²), or 1/value² where no error is known."""
     xp = e.xp
     c = data.curves[k]
     value = xp.maximum(value, TINY**0.25)
-    allowed = xp.square(model_sd(e, plan, model, data, at, value, k))[..., None]
+    allowed = xp.square(model_sd(e, plan, model, data, laid, at, value, k))[..., None]
     known2 = c.known * c.known
     relative = (known2 != 0) / xp.square(value)[..., None]
     w2 = xp.where(c.errors_known[..., None], known2 / (1 + known2 * allowed), relative)
     return window(e, model, c, at.log_sigma)[..., None] * w2
 
 
-def model_sd(e: Engine, plan: Plan, model: Light, data: Problem, at: Point, value: Any, k: int) -> Any:
+def model_sd(e: Engine, plan: Plan, model: Light, data: Problem, laid: Laid, at: Point, value: Any, k: int) -> Any:
     """What the model may be off by at each radius for itself."""
-    if not plan.sights[k].camera:
-        return model.relative_error * value
-    return value * e.xp.hypot(model.relative_error, exit_rel_sd(e, model, data.curves[k], e.xp.exp(at.log_sigma)))
+    relative: Any = model.relative_error
+    if laid.samples[k]:
+        relative = e.xp.hypot(relative, 2 * curve_off(laid.samples[k].log_ratio))
+    if plan.sights[k].camera:
+        relative = e.xp.hypot(relative, exit_rel_sd(e, model, data.curves[k], e.xp.exp(at.log_sigma)))
+    return value * relative
 
 
 def window(e: Engine, model: Light, c: Curves, log_sigma: Any) -> Any:
@@ -335,8 +400,8 @@ def system(e: Engine, plan: Plan, data: Problem, laid: Laid, seen: Looked, total
         root = xp.sqrt(by.mass[k])
         rows = rows_of(e, laid, tuple(root * part for part in each), k, root * (by.mean[k] - each[0]))
         whole = whole + xp.matmul(rows, xp.swapaxes(rows, 1, 2))
-    for gap, row, measured in list(zip(*totals, data.totals, strict=True))[: plan.weighed]:
-        one = xp.concatenate([row, gap], axis=1) / measured.sd
+    for gap, row, sd in list(zip(*totals, strict=True))[: plan.weighed]:
+        one = xp.concatenate([row, gap], axis=1) / sd
         whole = whole + one[:, :, None] * one[:, None, :]
     return System(whole[:, size, size], whole[:, :size, size], whole[:, :size, :size] + prior(e, plan))
 
@@ -344,7 +409,7 @@ def system(e: Engine, plan: Plan, data: Problem, laid: Laid, seen: Looked, total
 def cost_at(e: Engine, plan: Plan, data: Problem, laid: Laid, seen: Looked, by: Weights) -> Any:
     """The objective (b,) with shared errors at their best; where R is exact, at the q near by that meets it."""
     xp = e.xp
-    gaps, rows = totals = totals_of(e, data, laid, seen)
+    gaps, rows, sds = totals = totals_of(e, plan, data, laid, seen)
     keeps = keeping(plan, totals)
     whole: Any = 0.0
     for k, (value, _, by_q) in enumerate(seen.curves):
@@ -354,8 +419,8 @@ def cost_at(e: Engine, plan: Plan, data: Problem, laid: Laid, seen: Looked, by: 
             parts = [part - by_q * away[:, j : j + 1] for j, part in enumerate(parts)]
         stacked = xp.stack(parts, axis=1) * xp.sqrt(by.mass[k])[:, None, :]
         whole = whole + xp.matmul(stacked, xp.swapaxes(stacked, 1, 2))
-    for gap, row, each in list(zip(gaps, rows, data.totals, strict=True))[: plan.weighed]:
-        one = xp.concatenate([row[:, 3:], gap], axis=1) / each.sd
+    for gap, row, sd in list(zip(gaps, rows, sds, strict=True))[: plan.weighed]:
+        one = xp.concatenate([row[:, 3:], gap], axis=1) / sd
         whole = whole + one[:, :, None] * one[:, None, :]
     if not plan.shared:
         return whole[:, 0, 0]
@@ -398,9 +463,16 @@ def _responses(
         elif error.source == "scale":
             response = sds.scale * one
         elif error.source == "length":
-            response = sds.length * _relative(xp, looks[k][1], looks[k][0])
+            response = _relative(xp, looks[k][1], looks[k][0])
+            if laid.samples[k]:  # the scale of the picture is not that of the sample's depth
+                response = response - laid.samples[k].by_lengths
+            response = sds.length * response
         elif error.source == "view":
             response = sds.view * (tilt + view) * one
+        elif error.source in OF_SAMPLE:
+            response = getattr(laid.samples[k], f"by_{error.source}")
+        elif error.source == "ratio":
+            response = curve_off(laid.samples[k].log_ratio)
         elif error.source == "exit":
             response = exit_modes(e, model, c, sigma)[error.mode]
         elif error.source == "table":
@@ -442,7 +514,9 @@ def _waves(e: Engine, model: Light, data: Problem, sigma: Any, q: Any, k: int) -
     return [level * (cosine if j == 0 else np.sqrt(2) * cosine) for j, cosine in enumerate(cosines)]
 
 
-def _total_responses(e: Engine, plan: Plan, model: Light, data: Problem, at: Point, beside: Neighbours, k: int) -> Any:
+def _total_responses(
+    e: Engine, plan: Plan, model: Light, data: Problem, laid: Laid, at: Point, beside: Neighbours, k: int
+) -> Any:
     """(b, K) of ln R of slice k."""
     xp = e.xp
     sds = data.sds[k]
@@ -454,6 +528,8 @@ def _total_responses(e: Engine, plan: Plan, model: Light, data: Problem, at: Poi
             response = sds.scale + 0 * at.q
         elif k in error.slices and error.source == "view":
             response = sds.view * view + 0 * at.q
+        elif k in error.slices and error.source in OF_SAMPLE:
+            response = getattr(laid.samples[k], f"total_by_{error.source}")
         elif k in error.slices and error.source in ("eta", "g"):
             other, step = beside[error.source]
             aside = xp.log(other.total(e, at.q)[0] / model.total(e, at.q)[0]) / step

@@ -14,6 +14,7 @@ from bssrdf.fit.intervals import Profile
 from bssrdf.fit.layout import camera_factor
 from bssrdf.fit.models import OBLIQUE_DEG, is_clamped
 from bssrdf.fit.neighbours import Bias, to_log
+from bssrdf.fit.sample_verdict import in_sample, is_thin
 from bssrdf.session.flags import Flag
 from bssrdf.session.records import ChannelFit, Slice, Status
 from bssrdf.transport.light import coefficients
@@ -134,10 +135,14 @@ def _channel_fit(
         interval = (float(profile.lower[0]), float(profile.upper[0]))
         sd_a = (interval[1] - interval[0]) / (2 * Z95)
     sp_interval = spread_of(sigma_sp, sigma_sp * float(rel_sd[1]))
-    flags = list(_flags(fitted, extra, row, interval, float(rel_sd[1])))
+    off = extra.model_error[row].get("sigma_a", 0.0)
+    sample = in_sample(fitted, row, shares["sigma_a"], sd_a / sigma_a if sigma_a > 0 else np.inf, off)
+    flags = list(_flags(fitted, extra, row, interval, float(rel_sd[1]), sample.flags))
     interval, sp_interval, flags = _with_rival(fitted, row, interval, sp_interval, flags)
     status = _status(flags)
     no_sigma_a = Flag.SIGMA_A_UNIDENTIFIABLE in flags
+    if sample.flags[Flag.SIGMA_A_UNIDENTIFIABLE]:
+        interval = (NAN, NAN)
     result = ChannelFit(
         model=fitted.model.name,
         sigma_a_per_mm=NAN if no_sigma_a else sigma_a,
@@ -149,6 +154,9 @@ def _channel_fit(
         correlation=correlation,
         total_r_measured=_mean([p.total_r.get(job.channel, NAN) for p in job.pieces]),
         total_r_model=float(fitted.judged.total_r[row]),
+        total_r_half_space=float(fitted.judged.total_r_half_space[row]),
+        tau_p=sample.tau_p,
+        sample_effect=(sample.log_total, sample.least_ratio),
         window_mm=_window(fitted, row),
         n=_count(fitted, row),
         chi2_reduced=float(fitted.judged.chi2[row]) if _errors_known(fitted, row) else NAN,
@@ -175,6 +183,7 @@ def _untold(result: ChannelFit) -> ChannelFit:
         sigma_sp_interval95_per_mm=none,
         correlation=NAN,
         total_r_model=NAN,
+        total_r_half_space=NAN,
         model_error={},
         sensitivity={},
         budget={},
@@ -224,7 +233,9 @@ def _status(flags: Sequence[str]) -> Status:
     return "upper_bound" if {Flag.ALBEDO_ONE, Flag.TOTAL_AT_LIMIT} & set(flags) else "converged"
 
 
-def _flags(fitted: Fitted, extra: Extra, row: int, interval: Interval, rel_sd: float) -> list[str]:
+def _flags(
+    fitted: Fitted, extra: Extra, row: int, interval: Interval, rel_sd: float, of_sample: Mapping[str, bool]
+) -> list[str]:
     """The names from `Flag` that hold for this fit."""
     job, plan, judged = fitted.jobs[row], fitted.plan, fitted.judged
     pieces = job.pieces
@@ -233,6 +244,7 @@ def _flags(fitted: Fitted, extra: Extra, row: int, interval: Interval, rel_sd: f
     known = _errors_known(fitted, row)
     dipole = fitted.model.name == "dipole"
     own_pull, own_drift = (0.0, 0.0) if extra.bias is None else _allowed(extra.bias, row)
+    own_drift += np.inf if is_thin(fitted, row) else 0.0
     untested = dipole and not extra.model_error[row]
     count = _count(fitted, row)
     end = _window(fitted, row)[1]
@@ -267,6 +279,7 @@ def _flags(fitted: Fitted, extra: Extra, row: int, interval: Interval, rel_sd: f
         Flag.TOTAL_UNKNOWN: all(np.isnan(totals)),
         Flag.WINDOW_SHORT: end * max(q, 0.0) * sigma_tp < 1,
     }  # fmt: skip
+    held = {name: held.get(name, False) or of_sample.get(name, False) for name in sorted({*held, *of_sample})}
     if held[Flag.FEW_RADII]:
         return [name for name in (Flag.FEW_RADII, Flag.G_ASSUMED, Flag.SCALE_SD_UNKNOWN, Flag.SD_UNKNOWN) if held[name]]
     measured = [flag for p in pieces for flag in p.flags]

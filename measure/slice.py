@@ -34,7 +34,7 @@ from bssrdf.measure.reflectance import (
 from bssrdf.measure.tail import Estimate, Surroundings
 from bssrdf.measure.total_errors import Timing, common_errors, polarisation_rel_sd, speckle_rel_sd, stated_errors
 from bssrdf.session.flags import Flag, meaning_of
-from bssrdf.session.records import TOTAL_R_MAX, ChannelSlice, Geometry, Material, Reference, Session, Slice
+from bssrdf.session.records import SAMPLE_KEYS, TOTAL_R_MAX, ChannelSlice, Geometry, Material, Reference, Session, Slice
 
 _TILE_ETA = 1.35
 """Sintered PTFE."""
@@ -140,7 +140,7 @@ def measure_slice(
         }
         flags += [flag for flag, is_raised in raised.items() if is_raised]
     tile_rel_sd, mm_rel_sd, view_angle_sd_deg, assumed = stated_errors(tile, geometry)
-    flags += assumed
+    flags += assumed + [Flag.ROUGH_FINISH] * (material.finish == "rough")
     isophotes = Isophotes({}, [Flag.GEOMETRY_UNCHECKED])
     if seen:
         wide = max(radius.value, core_mm)
@@ -166,6 +166,7 @@ def measure_slice(
         total_r_sd=totals_sd,
         material=material.name,
         g=material.g,
+        **{key: getattr(material, key) for key in SAMPLE_KEYS},
         spot_radius_mm=radius.value,
         spot_radius_sd_mm=radius.sd or None,
         lost_fraction=lost,

@@ -145,6 +145,17 @@ def layout(value: Any) -> str:
     return str(value)
 
 
+def backing(value: Any) -> str | float:
+    """What lies under a sample: a word, or a diffuse reflectance, which the command line gives as text."""
+    try:
+        share = float(value)
+    except (TypeError, ValueError):
+        return text(value)
+    if isinstance(value, bool) or not 0 <= share < 1:
+        raise ValueError('must be "black", "air", or a diffuse reflectance of at least 0 and below 1')
+    return share
+
+
 def matrix3(value: Any) -> tuple[tuple[float, float, float], ...]:
     """3×3 numbers, not singular."""
     rows: tuple[tuple[float, float, float], ...] = list_of(list_of(number(), 3), 3)(value)

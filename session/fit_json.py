@@ -16,7 +16,10 @@ from bssrdf.session.records import ChannelFit, Fit
 from bssrdf.session.text_file import FORMAT, check_format, read_text
 
 _COEFFICIENTS = ("sigma_a", "sigma_sp")
-_MAY_LACK: dict[str, Any] = {"model_error": {}, "sensitivity": {}, "budget": {}}
+_MAY_LACK: dict[str, Any] = {
+    **{"model_error": {}, "sensitivity": {}, "budget": {}},
+    **{"total_r_half_space": None, "tau_p": None, "sample_effect": [None, None]},
+}
 """What fits of earlier versions come without."""
 
 

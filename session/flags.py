@@ -32,6 +32,22 @@ class Flag(StrEnum):
         "measure",
         "The isophotes are ellipses that the view angle does not explain: scale, beam or camera's roll?",
     )
+    BACK_DECIDES = (
+        "back_decides",
+        "fit",
+        "More than half of σa's variance is what is not known of the sample's depth and back.",
+    )
+    BACKING_ASSUMED = (
+        "backing_assumed",
+        "fit",
+        "The reflectance of the back was not measured: black was taken as 0.03 ± 0.03, a number as ± 0.05.",
+    )
+    BACKING_UNKNOWN = (
+        "backing_unknown",
+        "fit",
+        'The back is neither "black" nor "air" nor a number: nothing was allowed for.',
+    )
+    BEYOND_WALL = ("beyond_wall", "fit", "Radii beyond the dish's wall were left out.")
     BLACK_CLIPPED = (
         "black_clipped",
         "measure",
@@ -79,6 +95,11 @@ class Flag(StrEnum):
         "Frames contradict each other beyond noise: errors were enlarged by it.",
     )
     FEW_RADII = ("few_radii", "fit", "Fewer than 5 radii lie in the window: nothing was fitted.")
+    FINITE_SAMPLE = (
+        "finite_sample",
+        "fit",
+        "For information: depth, back and walls of the sample were allowed for.",
+    )
     G_ASSUMED = (
         "g_assumed",
         "fit",
@@ -131,7 +152,7 @@ class Flag(StrEnum):
     NARROW_SAMPLE = (
         "narrow_sample",
         "fit",
-        "The sample reaches less than 3/σtr from the beam: light leaves by its sides, σa is too high.",
+        "The dish's wall is nearer than 10 mean free paths; or than 3/σtr and not allowed for: σa is too high then.",
     )
     NARROW_BAND = (
         "narrow_band",
@@ -192,7 +213,7 @@ class Flag(StrEnum):
         "fit",
         "A few radii lie far from their neighbours: dust or glare? --robust leaves them out.",
     )
-    ROUGH_FINISH = ("rough_finish", "fit", "A rough surface adds up to 0.04 to R.")
+    ROUGH_FINISH = ("rough_finish", "measure", "A rough surface adds up to 0.04 to R.")
     SATURATED = ("saturated", "measure", "Pixels are saturated even in the shortest exposure: they were left out.")
     SCALE_FREE = ("scale_free", "fit", "Fitted with an unknown factor on the curve.")
     SCALE_SD_ASSUMED = (
@@ -225,7 +246,8 @@ class Flag(StrEnum):
     SIGMA_A_UNIDENTIFIABLE = (
         "sigma_a_unidentifiable",
         "fit",
-        "The data give σa no upper end: σs′ holds, σa is not stated.",
+        "The data give σa no upper end, or do not tell it from a thin sample's depth and back: σs′ holds, σa is not "
+        "stated.",
     )
     SINGLE_SCATTERING = (
         "single_scattering",
@@ -248,10 +270,16 @@ class Flag(StrEnum):
         "fit",
         "The spot is wider than a mean free path: the curve near it is mostly the spot's own.",
     )
+    THICKNESS_ASSUMED = (
+        "thickness_assumed",
+        "fit",
+        "The slice does not state thickness_sd_mm: 2 % was taken.",
+    )
     THIN_SAMPLE = (
         "thin_sample",
         "fit",
-        "The sample is thinner than 3/σtr: light leaves through its back, and σa is too high.",
+        "The sample is so thin (τ′ below 8 on black, else 4) that the model itself may be off; or thinner than 3/σtr "
+        "and not allowed for: σa is too high then.",
     )
     TOTAL_AT_LIMIT = ("total_at_limit", "fit", "R lies beyond what the model can reach.")
     TOTAL_INCONSISTENT = (
@@ -264,7 +292,8 @@ class Flag(StrEnum):
     UNDER_GLASS = (
         "under_glass",
         "fit",
-        "A glass cover sends light back in and out: the fit takes the surface as bare.",
+        "A glass cover sends light back in and out: the fit takes the surface as bare, and the curve is off by "
+        "15 to 65 %.",
     )
     UNNAMED = (
         "unnamed",

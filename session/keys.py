@@ -91,7 +91,7 @@ class Declared:
 
     name: str
     kind: Any
-    """Its type, None aside."""
+    """Its type, None aside; of several the first."""
     key: Key
     default: Any
 
@@ -165,8 +165,8 @@ def _default(field: Any) -> Any:
 
 def _declared(name: str, hint: Any, default: Any) -> Declared:
     kind, key = get_args(hint)
-    (alone,) = [each for each in get_args(kind) if each is not NoneType] if NoneType in get_args(kind) else [kind]
-    return Declared(name, alone, key, default)
+    first, *_ = [each for each in get_args(kind) if each is not NoneType] if NoneType in get_args(kind) else [kind]
+    return Declared(name, first, key, default)
 
 
 def _check_of(kind: Any, key: Key) -> Check:

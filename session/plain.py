@@ -38,7 +38,9 @@ def _key(key: Any) -> str:
 def _of(kind: Any, value: Any) -> Any:
     origin, arguments = get_origin(kind), get_args(kind)
     if origin in (Union, types.UnionType):
-        return None if value is None else _of(next(each for each in arguments if each is not type(None)), value)
+        if value is None or isinstance(value, tuple(each for each in arguments if isinstance(each, type))):
+            return value
+        return _of(next(each for each in arguments if each is not type(None)), value)
     if origin is np.ndarray:
         return np.array(value)
     if origin is dict:

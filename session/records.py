@@ -12,9 +12,10 @@ from typing import Annotated, Any, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from bssrdf.session.checks import layout, levels, sha256, time
+from bssrdf.session.checks import backing, layout, levels, sha256, time
 from bssrdf.session.keys import ANGLE, COSINE, ERROR, LENGTH, POSITIVE, SHARE, Key, Range
 
+NAN = float("nan")
 TOTAL_R_MAX = 1.1
 """A white sample can outshine a Lambertian reference at some angles, but not by more."""
 
@@ -50,6 +51,31 @@ _WHOLE_ERROR = (
     "names; null for `rejected` and `unidentifiable`"
 )
 
+Wall = Literal["black", "air"]
+Cover = Literal["none", "glass"]
+_Thickness = Annotated[
+    float | None, Key("depth of the sample; without it, and without a dish, a half space", LENGTH, example=40.0)
+]
+_ThicknessSd = Annotated[float | None, Key("error of the depth; none is taken as 2 %, flagged", ERROR, example=0.4)]
+_Width = Annotated[float | None, Key("inner diameter of a round dish with the beam on its axis", LENGTH, example=100.0)]
+_Wall = Annotated[Wall | None, Key("side of the dish: painted, or clear against air", example="black")]
+_Backing = Annotated[
+    str | float | None,
+    Key(
+        'under the sample: "black", "air", or the diffuse reflectance of a face in optical contact; any other word is '
+        "flagged and not allowed for",
+        example="black",
+        check=backing,
+    ),
+]
+_BackingSd = Annotated[
+    float | None,
+    Key("error of that reflectance; none is taken as 0.05, of black as 0.03, flagged", SHARE, example=0.02),
+]
+_Cover = Annotated[Cover, Key("what lies on top")]
+SAMPLE_KEYS = ("thickness_mm", "thickness_sd_mm", "width_mm", "wall", "backing", "backing_sd", "cover")
+"""What holds the sample: the same in `[material]` and in a slice."""
+
 
 @dataclass(frozen=True)
 class Material:
@@ -58,10 +84,13 @@ class Material:
     name: Annotated[str, Key("what lies under the beam", example="milk", informational=_NAME)]
     eta: Annotated[float, Key("index of refraction: 1.3 for watery things, 1.5 for marble", POSITIVE, example=1.3)]
     g: Annotated[float | None, Key("mean cosine of scattering", COSINE, example=0.0)] = None
-    thickness_mm: Annotated[float | None, Key("size along the beam", POSITIVE, example=40.0)] = None
-    width_mm: Annotated[float | None, Key("size across the beam", POSITIVE, example=100.0)] = None
-    backing: Annotated[str | None, Key("what lies below", example="black", informational="not modelled")] = None
-    cover: Annotated[Literal["none", "glass"], Key("what lies on top")] = "none"
+    thickness_mm: _Thickness = None
+    thickness_sd_mm: _ThicknessSd = None
+    width_mm: _Width = None
+    wall: _Wall = None
+    backing: _Backing = None
+    backing_sd: _BackingSd = None
+    cover: _Cover = "none"
     finish: Annotated[Literal["polished", "rough"], Key("the surface")] = "polished"
 
 
@@ -291,6 +320,13 @@ class Slice:
     shared_errors: Annotated[
         str | None, Key("slices with the same text share errors of scale and length, as those against one tile do")
     ] = None
+    thickness_mm: _Thickness = None
+    thickness_sd_mm: _ThicknessSd = None
+    width_mm: _Width = None
+    wall: _Wall = None
+    backing: _Backing = None
+    backing_sd: _BackingSd = None
+    cover: _Cover = "none"
     material: Annotated[str | None, Key("name of the material", informational=_NAME)] = None
     space: Annotated[
         Space | None,
@@ -323,12 +359,21 @@ class ChannelFit:
         dict[str, dict[str, float]],
         Key(
             "by coefficient the shares of the variance of ln σ by source (`noise`, `total`, `scale`, `length`, `spot`, "
-            "`view`, `exit_law`, `table`, `eta`, `g`, `misfit`), sum 1; null for bounds and where nothing is stated"
+            "`view`, `exit_law`, `table`, `eta`, `g`, `thickness`, `back`, `ratio`, `misfit`), sum 1; null for "
+            "bounds and where nothing is stated"
         ),
     ] = field(default_factory=dict)
     not_stated: Annotated[tuple[str, ...], Key("within `budget`: errors that no slice states, which count as 0")] = ()
     total_r_measured: Annotated[float, Key("as the slice has it", informational="stands beside the model's")]
     total_r_model: Annotated[float, Key("of the coefficients: per flux entering, over the hemisphere")]
+    total_r_half_space: Annotated[
+        float, Key("likewise of a half space of them; that of the sample stands in `total_r_model`")
+    ] = NAN
+    tau_p: Annotated[float, Key("σt′ times the depth of a finite sample; null for a half space")] = NAN
+    sample_effect: Annotated[
+        tuple[float, float],
+        Key("of back and walls: ln of R over a half space's, and the curve's smallest ratio to it; else null"),
+    ] = (NAN, NAN)
     window_mm: Annotated[tuple[float, float], Key("radii that counted")]
     n: Annotated[int, Key("how many")]
     chi2_reduced: Annotated[float, Key("χ² per degree of freedom; null where the curve came without errors")]

@@ -226,7 +226,7 @@ def test_milne_s_length_is_known_without_a_surface_and_rises_with_its_index() ->
 @pytest.mark.parametrize(("eta", "tau"), [(1.3, 4.0), (1.5, 6.0)])
 def test_a_lossless_slab_passes_on_what_exact_transport_says(eta: float, tau: float) -> None:
     """T = (source + z)/(τ + z + 0.7104): diffusion with Fdr alone would be 2 % off."""
-    top = top_of(NUMPY, shipped_table(eta, 0.0))
+    top = top_of(shipped_table(eta, 0.0))
     passed, error = simulate(
         MonteCarloMedium(0.0, 1.0, 0.0, eta, tau, "matched"), r_edges_mm=[0, 1], n_photons=60_000, seed=31
     ).total_t()
@@ -236,7 +236,7 @@ def test_a_lossless_slab_passes_on_what_exact_transport_says(eta: float, tau: fl
 
 def test_the_source_of_the_paper_s_dipole_makes_up_its_own_loss() -> None:
     model = dipole(1.4)
-    assert sum(top_of(NUMPY, model)) == pytest.approx(1 + 2 * model.a / 3, rel=1e-3)
+    assert sum(top_of(model)) == pytest.approx(1 + 2 * model.a / 3, rel=1e-3)
 
 
 def as_sample(case: Case) -> tuple[bool, Sample]:
@@ -249,7 +249,7 @@ def as_sample(case: Case) -> tuple[bool, Sample]:
 def predicted(case: Case) -> tuple[Floats, float]:
     """R_d over the case's annuli and R, by table and ratio."""
     model = shipped_table(case.eta, case.g)
-    top, (dish, held) = top_of(NUMPY, model), as_sample(case)
+    top, (dish, held) = top_of(model), as_sample(case)
     log_sigma, q = map(column, shape_of(*case.coefficients))
     nodes, weights = np.polynomial.legendre.leggauss(4)
     lo, hi = case.edges_mm[:-1, None], case.edges_mm[1:, None]

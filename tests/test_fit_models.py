@@ -12,8 +12,7 @@ from builders import OF_TWO_CODES, curve, curve_slice, seen_slice, slice_of
 
 from bssrdf.fit.free_g import fit_g
 from bssrdf.fit.run import FitOptions, fit_slices
-from bssrdf.fit.setting import setting_flags
-from bssrdf.session.records import ChannelFit, Material, Slice
+from bssrdf.session.records import ChannelFit, Slice
 from bssrdf.transport.convention import camera_factor
 from bssrdf.transport.dipole import Medium
 from bssrdf.transport.forward import ACROSS, DipoleModel
@@ -92,11 +91,3 @@ def test_the_exit_law_of_a_dark_medium_moves_with_the_coefficients(sigma_a: floa
     fit = fit_slices([piece], FitOptions(model="mc"))[0]["G"]
     assert fit.sigma_sp_per_mm == pytest.approx(sigma_sp, rel=0.02)
     assert fit.sigma_a_per_mm == pytest.approx(sigma_a, rel=0.02)
-
-
-def test_the_sample_s_mounting_is_flagged(auto: dict[str, ChannelFit]) -> None:
-    marble = auto["marbleG_g0"]
-    assert setting_flags(Material("m", 1.5), marble) == ()
-    assert setting_flags(Material("m", 1.5, thickness_mm=100.0, width_mm=100.0), marble) == ()
-    small = Material("m", 1.5, thickness_mm=10.0, width_mm=20.0, cover="glass", finish="rough")
-    assert setting_flags(small, marble) == ("narrow_sample", "rough_finish", "thin_sample", "under_glass")

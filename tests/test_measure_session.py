@@ -10,13 +10,12 @@ import tifffile
 from builders import film, of_kinds
 
 from bssrdf.errors import InputError
-from bssrdf.fit.setting import setting_flags
 from bssrdf.measure.session import measure_session
 from bssrdf.measure.total_errors import polarisation_rel_sd
 from bssrdf.session.frames_csv import read_frames, write_frames
 from bssrdf.session.hdr_image import read_hdr_exr
 from bssrdf.session.keys import keys_of
-from bssrdf.session.records import Beam, Camera, ChannelFit, Geometry, Material, Reference, Session
+from bssrdf.session.records import Beam, Camera, Geometry, Material, Reference, Session
 from bssrdf.session.session_toml import TABLES
 from bssrdf.session.slice_csv import read_slice
 
@@ -82,7 +81,10 @@ OBLIQUE = {"beam": {"incidence_deg": 30.0}}
 LASER = {"beam": {"kind": "laser"}}
 LENS = {"distortion": {"camera_matrix": PINHOLE, "coefficients": (0.01, 0.0, 0.0, 0.0)}}
 OTHER = {
-    "material": {"eta": 1.5, "g": 0.9, "thickness_mm": 1.0, "width_mm": 2.0, "cover": "glass", "finish": "rough"},
+    "material": {
+        **{"eta": 1.5, "g": 0.9, "finish": "rough", "cover": "glass", "backing": 0.9, "backing_sd": 0.1},
+        **{"thickness_mm": 1.0, "thickness_sd_mm": 0.1, "width_mm": 2.0, "wall": "air"},
+    },
     "camera": {
         "layout": "GRBG",
         "black": 490.0,
@@ -129,8 +131,7 @@ def outcome(session):
     except InputError as error:
         return str(error)
     arrays = [array.tobytes() for part in found.channels.values() for array in (part.r_mm, part.rd_per_mm2)]
-    fit = ChannelFit(**dict.fromkeys(ChannelFit.__dataclass_fields__, 1.0))  # σa = σs′ = 1/mm
-    return arrays, repr(replace(found, channels={}, provenance={})), setting_flags(session.material, fit)
+    return arrays, repr(replace(found, channels={}, provenance={}))
 
 
 def test_every_key_of_a_session_changes_the_slice_or_says_why_not():

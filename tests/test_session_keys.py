@@ -52,6 +52,13 @@ OTHER: dict[str, dict[str, Any]] = {
     "scale_rel_sd": {"scale_rel_sd": 0.02},
     "mm_rel_sd": {"mm_rel_sd": 0.02},
     "shared_errors": {"shared_errors": "one tile"},
+    "thickness_mm": {"thickness_mm": 30.0, "backing": 0.5},
+    "thickness_sd_mm": {"thickness_mm": 30.0, "backing": 0.5, "thickness_sd_mm": 1.0},
+    "width_mm": {"width_mm": 20.0},
+    "wall": {"width_mm": 40.0, "wall": "air"},
+    "backing": {"thickness_mm": 30.0, "backing": "air"},
+    "backing_sd": {"thickness_mm": 30.0, "backing": 0.5, "backing_sd": 0.2},
+    "cover": {"cover": "glass"},
 }
 """For each key that counts, a value that it does not have in `camera_slice`, with what it needs beside it."""
 

@@ -21,7 +21,7 @@ from bssrdf.session.text_file import toml_table
 FULL = Session(
     path=Path(),
     camera=Camera("GBRG", 512.5, 65535.0, 0.37, 3.1),
-    material=Material('a "hard" name\\\n\x7fσ', 1.5, -0.3, 40.0, 100.0, "black", "glass", "rough"),
+    material=Material('a "hard" name\\\n\x7fσ', 1.5, -0.3, 40.0, 0.5, 100.0, "air", 0.9, 0.02, "glass", "rough"),
     geometry=Geometry(
         homography=((0.05, 1e-7, 3.0), (0.0, 0.07, -2.0), (1e-5, 0.0, 1.0)), mm_per_px_rel_sd=0.002, view_axis="x"
     ),

@@ -11,6 +11,19 @@ State = TypeVar("State")
 Fixed = TypeVar("Fixed")
 
 
+class ById:
+    """Something built once and kept, such as a model with its tables, as a key of what is made for it."""
+
+    def __init__(self, it: Any) -> None:
+        self.it = it
+
+    def __hash__(self) -> int:
+        return id(self.it)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, ById) and self.it is other.it
+
+
 class Engine(Protocol):
     """What the text needs of the array library that runs it."""
 

@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from bssrdf.transport.arrays import Engine
+from bssrdf.transport.arrays import NUMPY, ById, Engine
 from bssrdf.transport.light import SMALLEST_Q, Light, Look, transmittance
 
 MILNE = 0.710446
@@ -73,11 +73,16 @@ class Top(NamedTuple):
     z: float
 
 
-def top_of(e: Engine, model: Light) -> Top:
+def top_of(model: Light) -> Top:
     """Near albedo 1 a half space's total is 1 − (source + z) q: the model's own slope gives the source."""
-    z = milne(model.eta)
-    slope = model.total(e, e.xp.asarray([[SLOPE_Q]]))[1][0, 0]
-    return Top(-slope - z, z)
+    return _top(ById(model))
+
+
+@lru_cache(maxsize=64)
+def _top(key: ById) -> Top:
+    z = milne(key.it.eta)
+    slope = key.it.total(NUMPY, np.array([[SLOPE_Q]]))[1][0, 0]
+    return Top(float(-slope - z), z)
 
 
 @lru_cache(maxsize=64)

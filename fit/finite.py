@@ -1,0 +1,145 @@
+"""What back and wall make of curve and total in the objective, with the responses to errors of depth and back.
+
+The ratio to a half space is worked out where the search is laid, and goes on from there to first order in ln σt′ and
+q², in which it is smooth at q = 0; the total's is worked out at each point.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+from bssrdf.transport.arrays import Engine
+from bssrdf.transport.finite import Sample, change, half_space, of_change, top_of, total_ratio
+from bssrdf.transport.light import SMALLEST_Q, Light, Look, root_of_total
+
+CURVE_OFF = 0.015
+"""Of the square of ln ratio, at all radii together: how far it departs from the engine's walks, +7 % at ln −2
+(docs/finite-samples.md). Twice that at each radius for itself, so that such radii do not decide on the depth."""
+TOTAL_OFF = 0.01
+"""Of that of the total."""
+LEAST_STEP, MOST_STEP = 1e-3, 0.3
+"""Of a depth, over which a difference is taken."""
+MOST_AHEAD = 1.0
+SMALLEST_TOTAL_Q = 1e-5
+"""In place of 0, where R has no slope in q."""
+
+
+class Sampled(NamedTuple):
+    """ln of a slice's ratio to a half space near where it was laid, and what that answers to one sd of each error."""
+
+    log_ratio: Any
+    by_log_sigma: Any
+    by_q2: Any
+    log_sigma: Any
+    q2: Any
+    by_thickness: Any
+    by_back: Any
+    """(b, u)."""
+    by_lengths: Any
+    """(b, u): by ln of all the sample's own lengths."""
+    log_total: Any
+    total_by_thickness: Any
+    total_by_back: Any
+    """(b, 1)."""
+
+
+def curve_off(log_ratio: Any) -> Any:
+    """What the curve's ratio may be off by, relative."""
+    return CURVE_OFF * log_ratio * log_ratio
+
+
+class Errors(NamedTuple):
+    """Of a sample, (b, 1): relative of the depth, absolute of the back's reflectance."""
+
+    thickness: Any
+    back: Any
+
+
+def sampled(
+    e: Engine, model: Light, dish: bool, sample: Sample, sds: Errors, log_sigma: Any, q: Any, r: Any, *, plain: bool
+) -> Sampled:
+    """At a point, at radii r (b, u); `plain` leaves out the answers."""
+    xp = e.xp
+    top = top_of(model)
+    half = half_space(e, top, q, xp.exp(log_sigma) * r)
+    step = xp.clip(sds.thickness, LEAST_STEP, MOST_STEP)
+    others = () if plain else _aside(e, dish, sample, step, sds.back)
+    every = Sample(*(xp.concatenate(each, axis=0) for each in zip(sample, *others, strict=True)))
+    n = 1 + len(others)
+    tiled = [xp.concatenate([each] * n, axis=0) for each in (log_sigma, q, r)]
+    less = change(e, dish, every, top, *tiled)
+    b = q.shape[0]
+    looks = [of_change(e, half, tuple(each[k * b : (k + 1) * b] for each in less)) for k in range(n)]
+    totals = xp.log(total_ratio(e, dish, every, top, *tiled[:2])[0]).reshape(n, b, 1)
+    here = looks[0]
+    aq = xp.maximum(xp.abs(q), SMALLEST_Q)
+    zero = xp.zeros_like(here[0])
+    laid = Sampled(
+        *here[:2], here[2] * xp.sign(q) / (2 * aq), log_sigma, q * q,
+        zero, zero, zero, totals[0], 0 * q, 0 * q,
+    )  # fmt: skip
+    if plain:
+        return laid
+    moved = [(looks[k][0] - looks[k + 1][0]) / 2 for k in range(1, n, 2)]
+    total_moved = [(totals[k] - totals[k + 1]) / 2 for k in range(1, n, 2)]
+    share = sds.thickness / step
+    return laid._replace(
+        by_thickness=moved[0] * share,
+        by_back=moved[1],
+        by_lengths=(moved[2] if dish else moved[0]) / step,
+        total_by_thickness=total_moved[0] * share,
+        total_by_back=total_moved[1],
+    )
+
+
+def _aside(e: Engine, dish: bool, sample: Sample, step: Any, back_sd: Any) -> tuple[Sample, ...]:
+    """Pairs of samples: deeper and shallower; on a brighter back and a darker, which stays one; and all larger."""
+    xp = e.xp
+    deeper, shallower = (sample._replace(thickness_mm=sample.thickness_mm * (1 + sign * step)) for sign in (1, -1))
+    brighter, darker = (sample._replace(back=xp.clip(sample.back + sign * back_sd, 0.0, 1.0)) for sign in (1, -1))
+    found = (deeper, shallower, brighter, darker)
+    if not dish:
+        return found
+    return (
+        *found,
+        *(
+            each._replace(radius_mm=sample.radius_mm * (1 + sign * step))
+            for each, sign in ((deeper, 1), (shallower, -1))
+        ),
+    )
+
+
+def further(e: Engine, laid: Sampled, log_sigma: Any, q: Any) -> Look:
+    """ln of the ratio at a point near by, and its slopes."""
+    xp = e.xp
+    move = laid.by_log_sigma * (log_sigma - laid.log_sigma) + laid.by_q2 * (q * q - laid.q2)
+    return laid.log_ratio + xp.clip(move, -MOST_AHEAD, MOST_AHEAD), laid.by_log_sigma, 2 * q * laid.by_q2
+
+
+def total_look(e: Engine, model: Light, dish: bool, sample: Sample, log_sigma: Any, q: Any) -> Look:
+    """R of the sample, and its slopes by ln σt′ and q; even in q."""
+    value, by_q = model.total(e, e.xp.abs(q))
+    ratio, ratio_s, ratio_q = total_ratio(e, dish, sample, top_of(model), log_sigma, e.xp.abs(q))
+    return value * ratio, value * ratio_s, e.xp.where(q < 0, -1.0, 1.0) * (by_q * ratio + value * ratio_q)
+
+
+def q_of_sample(e: Engine, model: Light, dish: bool, sample: Sample, log_sigma: Any, total_r: Any) -> Any:
+    """The q at which the sample's R is nearest to the one measured."""
+
+    def total(q: Any, fixed: Any) -> tuple[Any, Any]:
+        value, _, slope = total_look(e, model, dish, fixed[0], fixed[1], e.xp.maximum(q, SMALLEST_TOTAL_Q))
+        return value, slope
+
+    return root_of_total(e, total, model.q_max, total_r, (sample, log_sigma))
+
+
+def scanned(e: Engine, model: Light, sample: Sample, log_sigma: Any, q: Any, r: Any) -> Any:
+    """ln of the ratio of a slab at many scales (b, s) with q (b, s), at r (b, n): (b, s, n)."""
+    b, s = log_sigma.shape
+    flat = lambda each: each.reshape(-1, 1)  # noqa: E731
+    tiled = Sample(*(flat(each + 0 * log_sigma) for each in sample))
+    radii = (r[:, None, :] + 0 * log_sigma[:, :, None]).reshape(b * s, -1)
+    top = top_of(model)
+    half = half_space(e, top, flat(q), e.xp.exp(flat(log_sigma)) * radii)
+    found = of_change(e, half, change(e, False, tiled, top, flat(log_sigma), flat(q), radii))[0]
+    return found.reshape(b, s, -1)

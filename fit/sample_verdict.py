@@ -1,0 +1,115 @@
+"""What is said of a finite sample: how deep it is, what its back and walls do, when σa cannot be told from them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from bssrdf.fit.batch import Fitted
+from bssrdf.fit.held import Held, assumed, held
+from bssrdf.session.flags import Flag
+from bssrdf.session.records import Slice
+
+NAN = float("nan")
+BRIGHT = 0.6
+"""Of a half space's R: from here on σa hangs on the light that comes back from the depth."""
+THIN, THIN_ON_BLACK = 4.0, 8.0
+"""τ′ down to which the ratio holds: dark media and bright ones on a white back; bright ones on a black back."""
+LOST, LOST_ON_BLACK = 4.0, 6.0
+"""τ′ below which σa is off by more than its errors say, in media that are not surely dark."""
+DARK = 0.4
+"""Of a half space's R: σa that comes out far too high makes a bright medium look this much darker."""
+NARROW = 10.0
+"""Mean free paths to a dish's wall."""
+REACH = 3.0
+"""In diffuse mean free paths 1/σtr: as deep and wide a sample loses little light where nothing is allowed for."""
+MOST_UNKNOWN = 0.5
+"""Of σa: more error than this from depth, back and ratio together leaves nothing to state."""
+
+
+class InSample(NamedTuple):
+    """Of one row; NaN where its slices are of half spaces."""
+
+    tau_p: float
+    log_total: float
+    """ln of R over that of a half space."""
+    least_ratio: float
+    """Of the curve to a half space's, at the radii used."""
+    flags: Mapping[str, bool]
+
+
+def in_sample(fitted: Fitted, row: int, sigma_a_shares: Mapping[str, float], rel_sd: float, off: float) -> InSample:
+    """From the row's optimum; `rel_sd` of σa with its shares of the variance, `off` its relative model error."""
+    pieces = fitted.jobs[row].pieces
+    sigma_tp = math.exp(float(fitted.found.point.log_sigma[row, 0]))
+    q = max(float(fitted.found.point.q[row, 0]), 0.0)
+    every = [held(piece) for piece in pieces]
+    effects = [_effect(fitted, row, k) for k in range(len(pieces))]
+    depths = [one.thickness * sigma_tp for one in every if one.thickness < math.inf]
+    half_space = float(fitted.judged.total_r_half_space[row])
+    bright = half_space >= BRIGHT
+    of_sample = sum(sigma_a_shares.get(name, 0.0) for name in ("thickness", "back"))
+    thin = [_thin(one, sigma_tp, bright, THIN, THIN_ON_BLACK) for one in every]
+    narrow = [one.kind == "dish" and one.radius * sigma_tp < NARROW for one in every]
+    unknown = math.hypot(math.sqrt(of_sample) * rel_sd, off) > MOST_UNKNOWN
+    lost = half_space >= DARK and any(_thin(one, sigma_tp, True, LOST, LOST_ON_BLACK) for one in every)
+    finite = any(one.kind != "half" for one in every)
+    needed = REACH / (q * sigma_tp) if q > 0 else math.inf
+    flags: dict[str, bool] = {
+        Flag.BACK_DECIDES: finite and of_sample > 0.5,
+        Flag.BACKING_ASSUMED: any(assumed(piece)[1] for piece in pieces),
+        Flag.BACKING_UNKNOWN: any(_unknown_back(piece) for piece in pieces),
+        Flag.BEYOND_WALL: any(_beyond(piece, fitted.jobs[row].channel) for piece in pieces),
+        Flag.FINITE_SAMPLE: finite and not any(thin) and not any(narrow),
+        Flag.NARROW_SAMPLE: any(narrow) or _left_out(pieces, every, "width_mm", 2 * needed),
+        Flag.SIGMA_A_UNIDENTIFIABLE: finite and (lost or (bright and unknown)),
+        Flag.THICKNESS_ASSUMED: any(assumed(piece)[0] for piece in pieces),
+        Flag.THIN_SAMPLE: any(thin) or _left_out(pieces, every, "thickness_mm", needed),
+        Flag.UNDER_GLASS: any(piece.cover == "glass" for piece in pieces),
+    }
+    told = [each for each in effects if each is not None]
+    return InSample(
+        min(depths, default=NAN),
+        min((each[0] for each in told), default=NAN),
+        min((each[1] for each in told), default=NAN),
+        flags,
+    )
+
+
+def is_thin(fitted: Fitted, row: int) -> bool:
+    """Whether the ratio itself may be off by more than the data: then no misfit is held against anything else."""
+    sigma_tp = math.exp(float(fitted.found.point.log_sigma[row, 0]))
+    return any(one.thickness * sigma_tp < THIN_ON_BLACK for one in map(held, fitted.jobs[row].pieces))
+
+
+def _thin(one: Held, sigma_tp: float, bright: bool, least: float, on_black: float) -> bool:
+    return one.thickness * sigma_tp < (on_black if bright and one.on_black else least)
+
+
+def _effect(fitted: Fitted, row: int, k: int) -> tuple[float, float] | None:
+    laid = fitted.found.laid.samples[k]
+    if not laid:
+        return None
+    used = fitted.judged.used[k][row]
+    least = float(np.exp(laid.log_ratio[row][used].min())) if used.any() else NAN
+    return float(laid.log_total[row, 0]), least
+
+
+def _unknown_back(piece: Slice) -> bool:
+    return isinstance(piece.backing, str) and piece.backing not in ("black", "air")
+
+
+def _beyond(piece: Slice, channel: str) -> bool:
+    return piece.width_mm is not None and bool((piece.channels[channel].r_mm > piece.width_mm / 2).any())
+
+
+def _left_out(pieces: Sequence[Slice], every: Sequence[Held], key: str, needed_mm: float) -> bool:
+    """Whether a size is too small for a half space and yet not allowed for."""
+    length = {"thickness_mm": "thickness", "width_mm": "radius"}[key]
+    return any(
+        getattr(piece, key) is not None and getattr(one, length) == math.inf and getattr(piece, key) < needed_mm
+        for piece, one in zip(pieces, every, strict=True)
+    )
