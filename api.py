@@ -18,8 +18,6 @@ from numpy.typing import ArrayLike
 import bssrdf
 from bssrdf.errors import InputError
 from bssrdf.fit import FitOptions, Making, fit_g, fit_slices, forward_curve
-from bssrdf.measure import Measured
-from bssrdf.measure import measure_session as _measure
 from bssrdf.session.checks import known_keys, shown
 from bssrdf.session.fit_json import read_fit as _read_fit
 from bssrdf.session.fit_json import write_fit
@@ -31,6 +29,8 @@ from bssrdf.session.slice_csv import read_slice as _read_slice
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+    from bssrdf.measure import Measured
 
 Place = str | PathLike[str]
 IN_MEMORY = "(in memory)"
@@ -96,6 +96,8 @@ class ApiFit(Fit):
 
 def measure_session(session: Place | Session, **options: Any) -> Measured:
     """Measure a session's folder and write its measured/, as `bssrdf measure` does, with the options of that name."""
+    from bssrdf.measure import measure_session as measure  # imports OpenCV, which a fit does not need
+
     whole = not options.get("hdr_only", False)
     known = ("hdr_only", "from_hdr", "radial", "glare", "band_mm", "hdr_rel_sd", "space", "progress")
     known_keys(Path("measure_session"), "", options, known)
@@ -103,9 +105,7 @@ def measure_session(session: Place | Session, **options: Any) -> Measured:
         value = options.get(name)
         if value is not None and not (isinstance(value, int | float) and 0 < value < float("inf")):
             raise InputError(f"measure_session: {name} = {shown(value)} must be a finite number > 0")
-    return _measure(
-        session if isinstance(session, Session) else _read_session(Path(session), complete=whole), **options
-    )
+    return measure(session if isinstance(session, Session) else _read_session(Path(session), complete=whole), **options)
 
 
 def fit_slice(piece: Place | Slice, *, making: Making | None = None, **keywords: Any) -> ApiFit:

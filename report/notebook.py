@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -62,7 +63,15 @@ def draw_fit(fit: Fit, curve: Slice) -> Figure:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(4.6 * len(fit.channels), 5), layout="constrained")
+    class ShownFigure(Figure):
+        """One that a notebook shows, although no window opens it."""
+
+        def _repr_png_(self) -> bytes:
+            buffer = BytesIO()
+            self.savefig(buffer, format="png", dpi=100)
+            return buffer.getvalue()
+
+    figure = ShownFigure(figsize=(4.6 * len(fit.channels), 5), layout="constrained")
     FigureCanvasAgg(figure)
     two, log = {"height_ratios": [3, 1]}, {"xscale": "log"}
     axes = figure.subplots(2, len(fit.channels), sharex="col", squeeze=False, gridspec_kw=two, subplot_kw=log)
