@@ -16,6 +16,7 @@ myst_heading_anchors = 4
 nb_execution_mode = "force"
 nb_execution_raise_on_error = True
 nb_execution_timeout = 120
+nb_execution_excludepatterns = ["notebooks/*"]  # tests/test_notebook.py executes it
 
 autodoc_typehints = "signature"
 autodoc_member_order = "bysource"

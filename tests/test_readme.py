@@ -36,7 +36,7 @@ def test_five_commands_of_the_readme_give_the_published_marble(
     film(scene, tmp_path / "photos")
     monkeypatch.chdir(tmp_path)
     lines = commands()
-    assert len(lines) == 5
+    assert len(lines) == 6
     for line in lines:
         program, *arguments = shlex.split(line, comments=True)
         if program == "$EDITOR":
