@@ -8,9 +8,11 @@ if TYPE_CHECKING:
     from bssrdf.fit.bare import Bare as Bare
     from bssrdf.fit.bare import bare_curve as bare_curve
     from bssrdf.fit.bare import model_of as model_of
+    from bssrdf.fit.bare import sample_ratio as sample_ratio
     from bssrdf.fit.forward import Forward as Forward
     from bssrdf.fit.forward import forward_curve as forward_curve
     from bssrdf.fit.free_g import fit_g as fit_g
+    from bssrdf.fit.holding import held as held
     from bssrdf.fit.models import RULE as RULE
     from bssrdf.fit.models import Making as Making
     from bssrdf.fit.models import shipped_table as shipped_table

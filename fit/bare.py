@@ -7,11 +7,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from bssrdf.fit.holding import held, samples_of
 from bssrdf.fit.layout import Curves, Sight, curves_of, sight_of
 from bssrdf.fit.models import ASSUMED_G, Making, has_table, shipped_table, table_of_medium, tabulated
 from bssrdf.fit.observe import NEAREST_MFP, averaged, nodes, seen_at
 from bssrdf.session.records import Slice
 from bssrdf.transport.arrays import NUMPY
+from bssrdf.transport.finite import log_ratio, top_of
 from bssrdf.transport.light import Light, dipole, shape_of
 
 Floats = NDArray[np.float64]
@@ -57,8 +59,8 @@ def bare_curve(piece: Slice, channel: str, sigma_a: float, sigma_sp: float, mode
         (
             curves.r_lo[0],
             curves.r_hi[0],
-            _over_rings(model, sight, curves, log_sigma, q),
-            _over_rings(dipole(piece.eta), sight, curves, log_sigma, q),
+            _over_rings(piece, model, sight, curves, log_sigma, q),
+            _over_rings(piece, dipole(piece.eta), sight, curves, log_sigma, q),
         ),
     )
     sd = 1 / curves.known[0][there] if curves.errors_known[0, 0] else np.full(int(there.sum()), np.nan)
@@ -79,10 +81,27 @@ def _usual_model(piece: Slice) -> Light:
     return shipped_table(piece.eta, g) if tabulated(piece.eta, g) else dipole(piece.eta)
 
 
-def _over_rings(model: Light, sight: Sight, curves: Curves, log_sigma: Floats, q: Floats) -> Floats:
+def sample_ratio(piece: Slice, sigma_a: float, sigma_sp: float, r_mm: Floats) -> Floats:
+    """What back and walls of the slice's sample make of a half space's curve at these radii, (n,); 1 without them."""
+    model = _usual_model(piece)
+    log_sigma, q = (np.full((1, 1), each) for each in shape_of(sigma_a, sigma_sp))
+    return _in_sample(piece, model, log_sigma, q, r_mm)
+
+
+def _in_sample(piece: Slice, model: Light, log_sigma: Floats, q: Floats, r_mm: Floats) -> Floats:
+    kind = held(piece).kind
+    if kind == "half":
+        return np.ones_like(r_mm)
+    looked = log_ratio(NUMPY, kind == "dish", samples_of([piece]), top_of(model), log_sigma, q, r_mm[None])
+    ratio: Floats = np.exp(looked[0][0])
+    return ratio
+
+
+def _over_rings(piece: Slice, model: Light, sight: Sight, curves: Curves, log_sigma: Floats, q: Floats) -> Floats:
     """Means [1/mm²] of the model's narrow beam over the rings of the only row, (u,)."""
     at, sigma = nodes(NUMPY, sight, curves), np.exp(log_sigma)
     x = np.maximum(sigma * at.r, NEAREST_MFP)
     look = averaged(NUMPY, sight, at, model.look(NUMPY, np.minimum(q, model.q_max), x))
+    middle = np.sqrt((curves.r_lo[0] ** 2 + curves.r_hi[0] ** 2) / 2)
     rings: Floats = np.asarray(sigma**2 * look[0])[0]
-    return rings
+    return rings * _in_sample(piece, model, log_sigma, q, middle)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from bssrdf.errors import InputError
 from bssrdf.fit.compiled import FROM, settled
 from bssrdf.fit.errors import SCATTERED, Judged, judge
-from bssrdf.fit.held import Held, held, samples_of
+from bssrdf.fit.holding import Held, held, samples_of
 from bssrdf.fit.layout import Curves, camera_factor, curves_of, nodes_of, sight_of, total_of
 from bssrdf.fit.models import Making, beam_of, beside, table_of_medium
 from bssrdf.fit.solve import REST, Solution, optimise, settle, start, starts_of

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from bssrdf.fit.batch import Fitted
-from bssrdf.fit.held import Held, assumed, held
+from bssrdf.fit.holding import Held, assumed, held
 from bssrdf.session.flags import Flag
 from bssrdf.session.records import Slice
 

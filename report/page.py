@@ -22,6 +22,7 @@ from bssrdf.report.halves import Half, halves
 from bssrdf.report.left_out import Decade, LeftOut, darks_each, left_out, merge_noise, sensor_of
 from bssrdf.report.pictures import Scenes, scenes_of
 from bssrdf.report.swatches import Swatch, swatch
+from bssrdf.report.table import half_space_r
 from bssrdf.report.text import with_error
 from bssrdf.report.tiles import Tile, channel_tiles, halves_tile, left_out_tile, noise_tile, saturation_tile
 from bssrdf.report.validation import Check, validate
@@ -297,7 +298,7 @@ def _colour(evidence: Evidence) -> dict[str, Any]:
     fit, pieces = evidence.fit, evidence.pieces
     given = {"R as seen": pieces[0].curve.total_r if pieces else {}}
     if fit is not None:
-        given["R of the medium"] = {name: channel.total_r_model for name, channel in fit.channels.items()}
+        given["R of the medium"] = {name: half_space_r(channel) for name, channel in fit.channels.items()}
     found = {title: swatch(total, matrix) for title, total in given.items() if total}
     notes = dict.fromkeys(each for each in found.values() if isinstance(each, str))
     return {

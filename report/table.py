@@ -131,10 +131,15 @@ def _interval(row: Row, key: str, channels: Sequence[ChannelFit]) -> str:
     )
 
 
+def half_space_r(channel: ChannelFit) -> float:
+    """R of the medium, whatever its sample was; fits of earlier versions knew half spaces only."""
+    return channel.total_r_model if math.isnan(channel.total_r_half_space) else channel.total_r_half_space
+
+
 def _fitted_row(material: str, name: str, eta: float, g: float | None, channels: Sequence[ChannelFit]) -> Row:
     sigma_sp = combine([c.sigma_sp_per_mm for c in channels], [c.sigma_sp_sd_per_mm for c in channels])
     sigma_a = combine([c.sigma_a_per_mm for c in channels], [c.sigma_a_sd_per_mm for c in channels])
-    known = [c.total_r_model for c in channels if not math.isnan(c.total_r_model)]
+    known = [r for r in map(half_space_r, channels) if not math.isnan(r)]
     return {
         "material": material,
         "channel": name,

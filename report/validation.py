@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -15,7 +16,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from bssrdf.fit import bare_curve, tabulated
+from bssrdf.fit import bare_curve, held, sample_ratio, tabulated
 from bssrdf.session.records import ChannelFit, Fit, Slice
 from bssrdf.transport import DipoleModel, ForwardModel, MonteCarloMedium, dipole, scoped_x64, simulate, table_model
 from bssrdf.transport.dipole import Medium
@@ -74,20 +75,36 @@ def validate(
     for number, (name, channel) in enumerate(sound.items()):
         if progress is not None:
             progress(f"simulate {name}", number, len(sound))
-        medium = MonteCarloMedium.reduced(channel.sigma_a_per_mm, channel.sigma_sp_per_mm, fit.g or 0.0, fit.eta)
-        far = float(piece.channels[name].r_mm.max())
+        medium = _medium(fit, channel, piece)
+        far = min(float(piece.channels[name].r_mm.max()), held(piece).radius)
         edges = np.append(0.0, np.geomspace(far / 300, far, BINS))
         tally = simulate(medium, r_edges_mm=edges, n_photons=_photons(medium, photons), seed=SEED)
         value, error = tally.rd()
         centre = (edges[1:] + edges[:-1]) / 2
         model = _model_of(fit, channel)
         measured = _as_modelled(channel, piece, name)
-        expected = _over_rings(
-            model, Medium(channel.sigma_a_per_mm, channel.sigma_sp_per_mm, fit.eta), edges, value, error, measured
-        )
+        found = (channel.sigma_a_per_mm, channel.sigma_sp_per_mm)
+        in_sample = partial(sample_ratio, piece, *found)
+        expected = _over_rings(model, Medium(*found, fit.eta), edges, value, error, measured, in_sample)
         departure = _departure(measured, channel.window_mm, expected)
         checks.append(Check(name, measured, centre, value, error, *tally.total_r(), departure))
     return checks
+
+
+def _medium(fit: Fit, channel: ChannelFit, piece: Slice) -> MonteCarloMedium:
+    """Of the coefficients found, held as the sample was; what the fit left out is left out here."""
+    by = held(piece)
+    g = fit.g or 0.0
+    return MonteCarloMedium(
+        channel.sigma_a_per_mm,
+        channel.sigma_sp_per_mm / (1 - g),
+        g,
+        fit.eta,
+        thickness_mm=by.thickness if math.isfinite(by.thickness) else None,
+        backing="air" if piece.backing == "air" else by.back,
+        width_mm=2 * by.radius if math.isfinite(by.radius) else None,
+        wall=piece.wall or "black",
+    )
 
 
 def _photons(medium: MonteCarloMedium, photons: int) -> int:
@@ -113,7 +130,13 @@ def _as_modelled(channel: ChannelFit, piece: Slice, name: str) -> RingData:
 
 @scoped_x64
 def _over_rings(
-    model: ForwardModel, medium: Medium, edges_mm: np.ndarray, rd: np.ndarray, rd_se: np.ndarray, measured: RingData
+    model: ForwardModel,
+    medium: Medium,
+    edges_mm: np.ndarray,
+    rd: np.ndarray,
+    rd_se: np.ndarray,
+    measured: RingData,
+    in_sample: Callable[[np.ndarray], np.ndarray],
 ) -> np.ndarray:
     """The simulated annuli as means over the measured rings.
 
@@ -122,6 +145,7 @@ def _over_rings(
     known = slice(0, _reach(model, medium, edges_mm))
     lo, hi = edges_mm[:-1][known], edges_mm[1:][known]
     of_model = np.asarray(model.bin_average(medium, jnp.asarray(lo), jnp.asarray(hi)))
+    of_model = of_model * in_sample(np.sqrt((lo * lo + hi * hi) / 2))
     lit = (rd[known] > 0) & (rd_se[known] > 0)
     log_r = np.log((lo + hi) / 2)
     ratio = np.polynomial.Polynomial.fit(
@@ -129,7 +153,8 @@ def _over_rings(
     )
     rings = (jnp.asarray(np.minimum(edge, hi[-1])) for edge in (measured.r_lo_mm, measured.r_hi_mm))
     at = np.log(np.clip(measured.r_mm, np.exp(log_r[0]), np.exp(log_r[-1])))
-    return np.asarray(model.bin_average(medium, *rings)) * np.asarray(ratio(at))
+    middle = np.sqrt((measured.r_lo_mm**2 + measured.r_hi_mm**2) / 2)
+    return np.asarray(model.bin_average(medium, *rings)) * in_sample(middle) * np.asarray(ratio(at))
 
 
 def _reach(model: ForwardModel, medium: Medium, edges_mm: np.ndarray) -> int:

@@ -6,6 +6,8 @@ import jax
 import numpy as np
 import pytest
 
+from bssrdf.bench import finite_light
+from bssrdf.fit.run import FitOptions, fit_slice
 from bssrdf.report import validation
 from bssrdf.report.validation import validate
 from bssrdf.session.records import ChannelFit, ChannelSlice, Fit, Slice
@@ -62,3 +64,14 @@ def test_without_a_shipped_table_the_dipole_carries_the_simulation(monkeypatch):
     monkeypatch.setattr(validation, "tabulated", lambda eta, g: False)
     [check] = validate(a_fit(), a_slice(np.arange(0, 8.5, 0.5)))
     assert abs(check.median_departure) < 0.02
+
+
+def test_a_thin_sample_is_simulated_as_it_was_held() -> None:
+    case = next(c for c in finite_light.slabs() if c.material == "Skimmilk" and 7 < c.depth_mfp < 9 and c.back == 0.0)
+    piece = finite_light.slice_of(case)
+    fit = replace(a_fit(), eta=case.eta, g=case.g, channels=fit_slice(piece, FitOptions(model="mc", tables="shipped")))
+    [check] = validate(fit, piece, photons=40_000)
+    assert check.total_r == pytest.approx(piece.total_r[case.channel], abs=4 * check.total_r_se + 0.003)
+    assert abs(check.median_departure) < 0.03
+    [deep] = validate(fit, replace(piece, thickness_mm=None, backing=None), photons=40_000)
+    assert deep.total_r > check.total_r + 0.05
