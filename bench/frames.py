@@ -1,6 +1,7 @@
-"""`bssrdf bench frames`: do the intervals of R and of each decade of the curve hold the truth when frames are at fault?
+"""`bssrdf bench frames`: do the intervals hold the truth when frames are at fault?
 
-Truth is what a camera without noise and without fault shows of the same light, and the walk's own total.
+Those of R, of each decade of the curve, and of the coefficients that are fitted to it. Truth is what a camera without
+noise and without fault shows of the same light, and the walk's own total.
 """
 
 from __future__ import annotations
@@ -8,7 +9,7 @@ from __future__ import annotations
 import json
 import tempfile
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +18,7 @@ from numpy.typing import NDArray
 from bssrdf.bench.frame_faults import FAULTS, currents, scene, session_of, write_session
 from bssrdf.calib import Exposures, Surface
 from bssrdf.errors import InputError
+from bssrdf.fit import fit_slice
 from bssrdf.measure import Hdr, Image, Progress, SliceOptions, measure_session, measure_slice
 from bssrdf.session.records import Camera, ChannelSlice, Slice
 
@@ -44,6 +46,8 @@ class Trial:
     total_rel_sd: tuple[float, ...] = ()
     decade_z: tuple[tuple[float, ...], ...] = ()
     """By channel, brightest decade first."""
+    coefficients_held: dict[str, bool] = field(default_factory=dict)
+    """Whether the 95 % interval holds what the light was made with; empty where the fit gives none."""
 
 
 def run_frames_bench(
@@ -100,7 +104,20 @@ def trial(fault: str, seed: int, truth: Slice, material: str, repeats: int = 1) 
     sd = [found.total_r_sd[c] / truth.total_r[c] for c in found.total_r]
     z = np.divide(rel, sd)
     decades = tuple(decade_z(found.channels[c], truth.channels[c], found.scale_rel_sd or 0.0) for c in found.channels)
-    return Trial(fault, seed, None, found.flags, tuple(z.tolist()), tuple(rel), tuple(sd), decades)
+    held_ = coefficients_held(found, material)
+    return Trial(fault, seed, None, found.flags, tuple(z.tolist()), tuple(rel), tuple(sd), decades, held_)
+
+
+def coefficients_held(found: Slice, material: str) -> dict[str, bool]:
+    """By coefficient, whether its 95 % interval holds the truth; empty where the fit gives none."""
+    fitted, medium = fit_slice(found)["G"], scene(material).sample.media["G"]
+    if fitted.status not in ("converged", "upper_bound"):
+        return {}
+    intervals = {
+        "sigma_a": (fitted.sigma_a_interval95_per_mm, medium.sigma_a),
+        "sigma_sp": (fitted.sigma_sp_interval95_per_mm, medium.sigma_sp),
+    }
+    return {name: bool(low <= truth <= high) for name, ((low, high), truth) in intervals.items()}
 
 
 def decade_z(found: ChannelSlice, truth: ChannelSlice, scale_rel_sd: float) -> tuple[float, ...]:
@@ -121,8 +138,18 @@ def decade_z(found: ChannelSlice, truth: ChannelSlice, scale_rel_sd: float) -> t
 
 def table(trials: Sequence[Trial]) -> str:
     """A line for each fault, as Markdown."""
-    lines = ["| fault | sessions | refused | R held | decades held | R off, median % | stated % | flags |"]
-    lines.append("|---|---:|---:|---:|---:|---:|---:|---|")
+    heads = (
+        "sessions",
+        "refused",
+        "R held",
+        "decades held",
+        "σa held",
+        "σs′ held",
+        "no ±",
+        "R off, median %",
+        "stated %",
+    )
+    lines = [f"| fault | {' | '.join(heads)} | flags |", f"|---|{'---:|' * len(heads)}---|"]
     for fault in dict.fromkeys(t.fault for t in trials):
         own = [t for t in trials if t.fault == fault]
         kept = [t for t in own if t.refused is None]
@@ -132,8 +159,13 @@ def table(trials: Sequence[Trial]) -> str:
         stated = 100 * np.median([s for t in kept for s in t.total_rel_sd]) if kept else np.nan
         flags = sorted({flag for t in kept for flag in t.flags})
         held_ = [f"{100 * np.mean(z < Z95):.0f} %" if z.size else "" for z in (totals, decades)]
+        fitted = [t.coefficients_held for t in kept if t.coefficients_held]
+        held_ += [
+            f"{100 * np.mean([each[name] for each in fitted]):.0f} %" if fitted else ""
+            for name in ("sigma_a", "sigma_sp")
+        ]
         lines.append(
-            f"| {fault} | {len(own)} | {len(own) - len(kept)} | {held_[0]} | {held_[1]} | {off:.2f} | {stated:.2f} "
-            f"| {' '.join(flags)} |"
+            f"| {fault} | {len(own)} | {len(own) - len(kept)} | {' | '.join(held_)} | {len(kept) - len(fitted)} "
+            f"| {off:.2f} | {stated:.2f} | {' '.join(flags)} |"
         )
     return "\n".join(lines)

@@ -44,11 +44,26 @@ _SCPI: dict[str, Check] = {**_PORT, "boot_s": SECONDS, "watchdog_s": SECONDS}
 
 
 def _controller(bench: Bench, keys: dict[str, Any]) -> ScpiController:
-    """Shutter and beam on one port share their controller, made with the keys of the first."""
+    """Shutter and beam on one port share their controller, made with the keys of both."""
     controllers: dict[str, ScpiController] = bench.shared.setdefault("scpi", {})
     if keys["port"] not in controllers:
-        controllers[keys["port"]] = ScpiController(**keys)
+        controllers[keys["port"]] = ScpiController(**_of_both(bench, keys))
     return controllers[keys["port"]]
+
+
+def _of_both(bench: Bench, keys: dict[str, Any]) -> dict[str, Any]:
+    """The keys of a controller, and what the other part on its port adds; InputError where the two differ."""
+    both = dict(keys)
+    for name, part in bench.shared.get("parts", {}).items():
+        if part.driver != "scpi" or part.keys["port"] != keys["port"]:
+            continue
+        for key in _SCPI.keys() & part.keys.keys():
+            if both.setdefault(key, part.keys[key]) != part.keys[key]:
+                raise InputError(
+                    f"{bench.shared['file']}: [{name}] {key} = {part.keys[key]} is not the {both[key]} of the other "
+                    f"part on {keys['port']}, which is one controller; give it once"
+                )
+    return both
 
 
 def _scpi_beam(bench: Bench, keys: dict[str, Any]) -> ScpiBeam:
@@ -78,7 +93,9 @@ def _command_shutter(bench: Bench, keys: dict[str, Any]) -> CommandShutter:
 SC10 = Driver({**_PORT, "blade_s": SECONDS}, lambda bench, keys: Sc10Shutter(**keys), required=("port",))
 UNIBLITZ = Driver(_PORT, lambda bench, keys: UniblitzShutter(**keys), required=("port",))
 SCPI_SHUTTER = Driver(_SCPI, lambda bench, keys: ScpiShutter(_controller(bench, keys)), required=("port",))
-SCPI_BEAM = Driver({**_SCPI, "level": number(at_least=0, at_most=1)}, _scpi_beam, required=("port",))
+SCPI_BEAM = Driver(
+    {**_SCPI, "level": number(at_least=0, at_most=1)}, _scpi_beam, required=("port",), ping=ScpiBeam.ping
+)
 MANUAL_SHUTTER = Driver({}, lambda bench, keys: ManualShutter(bench.operator), by_hand=True, kept_alive=False)
 MANUAL_BEAM = Driver({}, lambda bench, keys: ManualBeam())
 COMMAND_SHUTTER = Driver(

@@ -254,6 +254,8 @@ class _Run:
             self._shut()
             return camera.take(step.exposure_s, part, self._keep_alive)
         shutter.open_for(self._longest_open_s(step))
+        if self._devices.by_hand:
+            self._light_again()
         self._settle()
         file = camera.take(step.exposure_s, part, self._keep_alive)
         try:
@@ -282,9 +284,10 @@ class _Run:
             raise DeviceError(f"{self._devices.shutter.name}: is {state} when it should be {wanted}; check interlock")
 
     def _keep_alive(self) -> None:
-        """Talk to the controller now and then, so that its watchdog sees that we live."""
-        if self._devices.kept_alive and time.monotonic() - self._watched > _WATCH_S:
-            self._devices.shutter.state()
+        """Talk to the controllers now and then, so that their watchdogs see that we live."""
+        if self._devices.pings and time.monotonic() - self._watched > _WATCH_S:
+            for ping in self._devices.pings:
+                ping()
             self._watched = time.monotonic()
 
     def _settle(self) -> None:
@@ -345,10 +348,14 @@ class _Run:
                 self._report(event._replace(what="drift", message=change))
         self._before[step.subject] = seen
 
+    def _light_again(self) -> None:
+        """A watchdog has put the beam out while a person worked."""
+        if self._devices.pings:
+            self._devices.beam.on()
+
     def _lay(self, subject: Subject) -> None:
         if self._laid != subject:
             self._shut()
             self._devices.operator.lay(subject)
-            if self._devices.kept_alive:  # its watchdog has put the beam out while a person worked
-                self._devices.beam.on()
+            self._light_again()
             self._laid = subject

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 from bssrdf.errors import DeviceError
 from bssrdf.rig.drivers import Bench, find
@@ -23,8 +25,8 @@ class Devices:
     operator: Operator
     by_hand: bool
     """Whether a person is the shutter."""
-    kept_alive: bool
-    """Whether the shutter's controller wants to hear of us while the camera works."""
+    pings: tuple[Callable[[], object], ...]
+    """What to call now and then while the camera works: controllers with a watchdog want to hear of us."""
 
     def connect(self) -> dict[str, Identity]:
         """Connect each device; DeviceError with what every one of them has to say, if any fails."""
@@ -51,16 +53,21 @@ class Devices:
 def devices_of(rig: Rig, signals: Interrupts | None = None) -> Devices:
     """The drivers, not yet connected; `signals` as they are handled while a person is asked."""
     operator = SimulatedOperator(rig.world) if rig.world else ConsoleOperator(signals or Interrupts())
-    bench = Bench(BenchClock(rig.speed), operator, {"file": rig.file})
-    shutter = find("shutter", rig.shutter.driver)
+    parts = {"shutter": rig.shutter, "beam": rig.beam}
+    bench = Bench(BenchClock(rig.speed), operator, {"file": rig.file, "parts": parts})
+    shutter, beam = find("shutter", rig.shutter.driver), find("beam", rig.beam.driver)
+    the_shutter, the_beam = shutter.make(bench, dict(rig.shutter.keys)), beam.make(bench, dict(rig.beam.keys))
+    pings: list[Callable[[], object]] = [lambda: the_shutter.state()] if shutter.kept_alive else []
+    if beam.ping and not (shutter.kept_alive and rig.beam.keys.get("port") == rig.shutter.keys.get("port")):
+        pings.append(partial(beam.ping, the_beam))
     return Devices(
-        shutter.make(bench, dict(rig.shutter.keys)),
-        find("beam", rig.beam.driver).make(bench, dict(rig.beam.keys)),
+        the_shutter,
+        the_beam,
         find("camera", rig.camera.driver).make(bench, dict(rig.camera.keys)),
         bench.clock,
         operator,
         by_hand=shutter.by_hand,
-        kept_alive=shutter.kept_alive,
+        pings=tuple(pings),
     )
 
 

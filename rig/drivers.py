@@ -30,7 +30,8 @@ class Bench:
     clock: Clock
     operator: Operator
     shared: dict[str, Any] = field(default_factory=dict)
-    """What parts of one bench have in common: its rig.toml under "file", the controller behind a port."""
+    """What parts of one bench have in common: its rig.toml under "file", the tables of its parts under "parts", the
+    controller behind a port."""
 
 
 @dataclass(frozen=True)
@@ -45,6 +46,8 @@ class Driver:
     """Of a shutter: whether a person moves it, so that it stays as it is until the next frame wants it otherwise."""
     kept_alive: bool = True
     """Of a shutter: whether it is asked for its state a few times per second while the camera works, for a watchdog."""
+    ping: Callable[[Any], object] | None = None
+    """Of a beam whose controller has a watchdog: what to call on it likewise."""
 
 
 def names(part: PartName) -> list[str]:

@@ -198,5 +198,9 @@ class ScpiBeam:
     def off(self) -> None:
         self._controller.command("BEAM:STAT OFF")
 
+    def ping(self) -> None:
+        """Let the controller's watchdog hear of us."""
+        self._controller.query("BEAM:STAT?", lambda reply: reply in ("ON", "OFF"))
+
     def release(self) -> None:
         self._controller.release()

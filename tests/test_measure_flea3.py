@@ -104,6 +104,34 @@ def test_the_rest_of_a_bracket_predicts_each_frame_better_than_its_labels_do_and
     assert np.all((z > 0.5) & (z < 1.0)), report
 
 
+def left_out_exposure(folder, wavelength_nm, ms):
+    """How far the light of a frame is off its prediction from the rest, as a logarithm, and the error stated for it."""
+    rest = bracket(folder, wavelength_nm, ms)
+    learnt = learn_camera([rest], CAMERA, 2)
+    times = [f.exposure_s * learnt.exposures.factor("sample", f.exposure_s) for f in rest.frames]
+    shots = rest.shots(times, learnt.corrections)
+    merged = merge(shots, learnt.sensor, hot=learnt.hot, period=2, model_rel_sd=learnt.contradiction)
+    raw, seen = held_out(folder, wavelength_nm, ms)
+    judged = (raw > 0.2 * WHITE_DN) & (raw < 0.9 * WHITE_DN) & (merged.mask == 0)
+    expected = shown(merged.radiance * ms / 1000, raw, learnt)
+    of_rest = np.sqrt(np.mean(learnt.exposures.rel_sd**2))
+    stated = np.linalg.norm([CAMERA.exposure_rel_sd, of_rest, learnt.contradiction])
+    return np.log(np.sum(seen[judged]) / np.sum(expected[judged])), stated
+
+
+@pytest.mark.slow
+def test_stated_errors_of_exposure_are_as_large_as_those_found(folder):
+    """Every exposure of every wavelength but the shortest, whose light the rest shows in few pixels."""
+    all_ms = [[round(1000 * f.exposure_s) for f in bracket(folder, nm).frames][1:] for nm in WAVELENGTHS_NM]
+    each = [
+        np.array([left_out_exposure(folder, nm, ms) for ms in of_one])
+        for nm, of_one in zip(WAVELENGTHS_NM, all_ms, strict=True)
+    ]
+    found, stated = (np.array([np.sqrt(np.mean(one[:, column] ** 2)) for one in each]) for column in (0, 1))
+    assert np.all(stated < 2 * found), (found, stated)
+    assert 0.5 < np.linalg.norm(stated) / np.linalg.norm(found) < 2, (found, stated)
+
+
 @pytest.mark.parametrize("wavelength_nm", WAVELENGTHS_NM)
 def test_labels_known_to_be_exact_stay_and_the_bend_and_the_black_explain_the_rest(folder, wavelength_nm):
     """One camera: its bend is one, and its converter rounds down, which darks that are cut off at 0 do not show."""

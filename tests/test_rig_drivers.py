@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tomllib
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -10,9 +11,10 @@ import pytest
 from bssrdf.cli import cli
 from bssrdf.commands.console import run
 from bssrdf.errors import InputError
-from bssrdf.rig.devices import devices_of
+from bssrdf.rig.devices import Devices, devices_of
 from bssrdf.rig.drivers import PARTS, Driver, find, names
 from bssrdf.rig.rig_toml import read_rig
+from bssrdf.rig.scpi import ScpiController
 
 ROOT = Path(__file__).resolve().parents[1]
 RIG = """\
@@ -63,7 +65,7 @@ def test_a_driver_of_another_package_is_found_and_made(rig_file: Path) -> None:
     devices = devices_of(read_rig(rig_file))
     assert devices.shutter.name == "curtain on 2 ropes"
     assert not devices.by_hand
-    assert devices.kept_alive
+    assert len(devices.pings) == 1
     assert read_rig(rig_file).frame_mb == 12
 
 
@@ -102,3 +104,63 @@ def test_a_bad_driver_is_named(rig_file: Path, old: str, new: str, message: str)
 def test_installed_drivers_are_listed(rig_file: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run(cli, ["rig", "list"]) == 0
     assert "drivers for [shutter]: command, curtain, gone, manual, other, sc10" in capsys.readouterr().out
+
+
+SCPI = """\
+[shutter]
+driver = "{shutter}"
+{shutter_keys}
+[beam]
+driver = "scpi"
+{beam_keys}
+[camera]
+driver = "command"
+expose = "shoot --time {{exposure_s}} --to {{out}}"
+[geometry]
+mm_per_px = 0.05
+[reference]
+name = "Spectralon"
+reflectance = [0.99, 0.99, 0.99]
+"""
+
+
+def scpi_devices(folder: Path, shutter: str, shutter_keys: str, beam_keys: str) -> Devices:
+    file = folder / "rig.toml"
+    text = SCPI.format(shutter=shutter, shutter_keys=shutter_keys, beam_keys=beam_keys)
+    file.write_text(text, encoding="utf-8")
+    return devices_of(read_rig(file))
+
+
+@pytest.mark.parametrize(
+    ("shutter", "keys", "asked"),
+    [
+        ("scpi", 'port = "/dev/a"', ["/dev/a SHUT:STAT?"]),
+        ("scpi", 'port = "/dev/b"', ["/dev/b SHUT:STAT?", "/dev/a BEAM:STAT?"]),
+        ("manual", "", ["/dev/a BEAM:STAT?"]),
+    ],
+)
+def test_each_controller_with_a_watchdog_hears_of_us_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, shutter: str, keys: str, asked: list[str]
+) -> None:
+    heard: list[str] = []
+
+    def query(self: ScpiController, command: str, known: Callable[[str], bool]) -> str:
+        heard.append(f"{self.name.removeprefix('scpi on ')} {command}")
+        return "OPEN" if command.startswith("SHUT") else "ON"
+
+    monkeypatch.setattr(ScpiController, "query", query)
+    for ping in scpi_devices(tmp_path, shutter, keys, 'port = "/dev/a"').pings:
+        ping()
+    assert heard == asked
+
+
+def test_keys_of_both_parts_make_their_one_controller(tmp_path: Path) -> None:
+    devices = scpi_devices(tmp_path, "scpi", 'port = "/dev/a"\nboot_s = 2.0', 'port = "/dev/a"\nwatchdog_s = 9.0')
+    controller = devices.shutter._controller  # type: ignore[attr-defined]
+    assert controller is devices.beam._controller  # type: ignore[attr-defined]
+    assert (controller.watchdog_s, controller._boot_s) == (9.0, 2.0)
+
+
+def test_one_controller_cannot_have_two_watchdogs(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"rig\.toml: \[beam\] watchdog_s = 9\.0 is not the 4\.0 of the other part"):
+        scpi_devices(tmp_path, "scpi", 'port = "/dev/a"\nwatchdog_s = 4.0', 'port = "/dev/a"\nwatchdog_s = 9.0')
