@@ -26,6 +26,7 @@ from bssrdf.session.atomic import replace_folder, sha256_of
 from bssrdf.session.constancy import check_constant, check_no_copy, with_cards
 from bssrdf.session.flags import Flag
 from bssrdf.session.frames_csv import read_frames
+from bssrdf.session.hdr_image import is_ours
 from bssrdf.session.records import Camera, Frame, FrameKind, Session, Slice, Space
 from bssrdf.session.session_toml import UNNAMED
 from bssrdf.session.slice_csv import write_slice
@@ -105,6 +106,8 @@ def _merged(session: Session, listed: Sequence[Frame], hdr_rel_sd: float | None,
     every = (bracket_of(kind, session.path, frames, response) for kind in _KINDS)
     brackets: dict[str, Bracket] = {bracket.kind: bracket for bracket in every if bracket.frames}
     images, camera = read_elsewhere(session, frames, hdr_rel_sd)
+    if brackets:
+        _check_unit(session.path, frames)
     learnt, found = None, {}
     if dark := warm_dark(brackets.values()):
         flags.append(Flag.DARK_TEMPERATURE)
@@ -130,6 +133,16 @@ def _merged(session: Session, listed: Sequence[Frame], hdr_rel_sd: float | None,
         inputs,
     )
     return Merged(images, told, _provenance(session, timing, learnt, hashes) | {"found": found})
+
+
+def _check_unit(path: Path, frames: Sequence[Frame]) -> None:
+    """InputError for an image in a unit of its own where it would be compared with frames."""
+    for frame in frames:
+        if frame.kind.endswith("_hdr") and not is_ours(path / frame.file):
+            raise InputError(
+                f"{path / frame.file}: is in a unit of the tool that merged it, and cannot be compared with frames of "
+                "the other kind; give merged images of both, or frames of both"
+            )
 
 
 def _check_complete(session: Session, frames: Sequence[Frame]) -> None:

@@ -161,6 +161,13 @@ def write_hdr_exr(path: Path, parts: Mapping[str, NDArray[Any]], provenance: Map
         write_exr(unfinished, planes, {_PROVENANCE: json.dumps(provenance, default=float)})
 
 
+def is_ours(path: Path) -> bool:
+    """Whether a file is an EXR that `bssrdf measure` wrote, in DN/s of the camera."""
+    from bssrdf.session.oiio_file import read_images
+
+    return path.suffix.lower() == ".exr" and [image.name for image in read_images(path)] == list(OUR_PARTS)
+
+
 def read_hdr_exr(path: Path) -> tuple[dict[str, Plane], dict[str, Any]]:
     """The parts by name, each (h, w) or (h, w, 3), and the provenance; InputError where a part is missing."""
     from bssrdf.session.oiio_file import read_images

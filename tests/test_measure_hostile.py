@@ -9,6 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import OpenImageIO as oiio
 import pytest
 import tifffile
 from numpy.typing import NDArray
@@ -239,3 +240,18 @@ def test_shutter_before_the_lens_decides_the_exposure_and_not_the_camera() -> No
     """The camera is open for one long time, the shutter for the label, or for the time that it measured."""
     check_constant([frame("sample", t, 10.0) for t in (0.001, 0.01, 0.1)], Path())
     check_constant([frame("sample", t, 2 * t, measured_s=t) for t in (0.001, 0.01, 0.1)], Path())
+
+
+def test_image_in_its_own_unit_is_not_compared_with_frames(session: Session, whole: tuple[Path, Session]) -> None:
+    """An EXR of another tool is refused beside frames; one that was measured, in DN/s as they are, serves."""
+    measure_session(session)
+    lines = (session.path / "frames.csv").read_text(encoding="utf-8").splitlines()
+    kept = [line for line in lines if ",reference" not in line]
+    (session.path / "frames.csv").write_text("\n".join([*kept, "tile.exr,reference_hdr,1", ""]), encoding="utf-8")
+    shutil.copy(session.path / "measured/reference.exr", session.path / "tile.exr")
+    assert holds(measure_session(session).slice)
+    light = oiio.ImageBuf(str(session.path / "tile.exr"))
+    assert light.write(str(session.path / "other.exr"))
+    frames = (session.path / "frames.csv").read_text(encoding="utf-8").replace("tile.exr", "other.exr")
+    (session.path / "frames.csv").write_text(frames, encoding="utf-8")
+    refused(session, r"other\.exr: is in a unit of the tool that merged it")
