@@ -85,6 +85,11 @@ def run(group: click.Group, arguments: list[str]) -> int:
     except OSError as error:
         what = ": ".join(str(part) for part in (error.filename, error.strerror or error) if part)
         return _failed(arguments, error, f"{what}; check path, permissions and space", BAD_INPUT)
+    except ImportError as error:
+        if (error.name or "bssrdf").partition(".")[0] == "bssrdf":
+            return _failed(arguments, error, f"an internal error: {error!r} (--debug shows where)", BUG)
+        line = f"{error.name} cannot be imported ({error}); install it again, and see `bssrdf doctor`"
+        return _failed(arguments, error, line, BAD_INPUT)
     except Exception as error:
         return _failed(arguments, error, f"an internal error: {error!r} (--debug shows where)", BUG)
     return code if isinstance(code, int) else 0

@@ -44,7 +44,7 @@ def _libraries() -> list[Finding]:
     for requirement in importlib.metadata.requires("bssrdf") or []:
         name = re.split(r"[^\w.-]", requirement, maxsplit=1)[0]
         extra = re.search(r"extra == ['\"](\w+)['\"]", requirement)
-        if extra and extra[1] == "dev":
+        if extra and extra[1] in ("all", "dev", "docs"):
             continue
         try:
             findings.append(Finding(name, importlib.metadata.version(name)))

@@ -290,3 +290,23 @@ def test_results_stay_within_80_columns(good: Path, short: Path, capsys: pytest.
     assert bssrdf("table", *fits) == 0
     assert bssrdf("table") == 0
     assert max(map(len, capsys.readouterr().out.splitlines())) <= 80
+
+
+@pytest.mark.parametrize("module", ["jinja2", "cv2", "matplotlib", "rawpy", "OpenImageIO", "jax", "serial", "colour"])
+def test_a_library_that_is_missing_hurts_only_what_needs_it(module: str, good: Path, tmp_path: Path) -> None:
+    """Fits run without any of them; a command that needs one names it and goes without a traceback."""
+    code = "import sys; sys.modules[sys.argv[1]] = None; from bssrdf.cli import main; main(sys.argv[2:])"
+
+    def done(*words: object) -> subprocess.CompletedProcess[str]:
+        return subprocess.run(
+            [sys.executable, "-c", code, module, *map(str, words)], capture_output=True, text=True, timeout=120
+        )
+
+    assert done("--help").returncode == 0
+    fitted = done("fit", good, "--model", "mc", "--eta", "1.4", "--out", tmp_path / "fit.json")
+    assert fitted.returncode == 0, fitted.stderr
+    if module == "jinja2":
+        refused = done("report", tmp_path / "fit.json", "--out", tmp_path / "page.html")
+        assert refused.returncode == 3
+        assert refused.stderr.startswith("bssrdf: jinja2 cannot be imported")
+        assert len(refused.stderr.splitlines()) == 1
