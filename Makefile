@@ -2,7 +2,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 OUT ?= demo
 
-.PHONY: demo test slow mutants check bench docs docs-tables clean
+.PHONY: demo test slow mutants check bench docs docs-shown docs-tables clean
 
 demo: .venv/installed
 	$(BIN)/bssrdf demo --out $(OUT) --force
@@ -28,6 +28,9 @@ bench: .venv/installed
 
 docs: .venv/installed
 	$(BIN)/python -m sphinx -q -W --keep-going -b html docs build/site
+
+docs-shown: .venv/installed
+	$(BIN)/python docs/shown.py
 
 docs-tables: .venv/installed
 	$(BIN)/python docs/tables.py

@@ -16,12 +16,12 @@ from bssrdf.cli import cli
 from bssrdf.commands.console import run
 
 ROOT = Path(__file__).resolve().parents[1]
-FORMATS = ROOT / "docs" / "formats.md"
+CURVES = ROOT / "docs" / "curves.md"
 
 
 def convert(source: Path, folder: Path) -> Path:
-    """The slice that the script in docs/formats.md makes of a curve."""
-    script = re.search(r"```python\n(.*?)```", FORMATS.read_text(encoding="utf-8"), re.DOTALL)
+    """The slice that the script in docs/curves.md makes of a curve."""
+    script = re.search(r"```python\n(.*?)```", CURVES.read_text(encoding="utf-8"), re.DOTALL)
     assert script
     (folder / "convert.py").write_text(script[1])
     done = subprocess.run(
