@@ -82,6 +82,7 @@ def clipped_by(share):
     [
         ("14 bits low", lambda dn: dn),
         ("14 bits high", lambda dn: dn << 2),
+        ("14 bits spread over 16", lambda dn: np.rint(dn * (65535 / 16383)).astype(np.uint16)),
         ("float 0 to 1", lambda dn: (dn / 16383).astype(np.float32)),
         ("float in any unit", lambda dn: (37.2 * dn).astype(np.float32)),
         ("clips early", clipped_by(0.8)),
