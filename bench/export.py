@@ -19,6 +19,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from bssrdf.bench.export_plot import draw_edges
+from bssrdf.bench.export_results import Point
 from bssrdf.errors import InputError
 from bssrdf.export import Closure, Material, find_materials
 from bssrdf.export.blender import LIMITS, blender_text, verbatim_text, verbatim_walks
@@ -60,38 +62,6 @@ QUICK = Effort(sky_samples=32, edge_samples=64, mitsuba_samples=8, mitsuba_edge_
 
 
 @dataclass(frozen=True)
-class Point:
-    """One number of a picture beside what it should be."""
-
-    renderer: str
-    kept: str
-    material: str
-    channel: str
-    depth: float | None
-    """Into the shadow in 1/σtr, negative in the light; None for the total under an even sky."""
-    measured: float
-    predicted: float
-    """What the file says it will be."""
-    rendered: float
-    se: float
-
-    @property
-    def off(self) -> float:
-        """Relative to the measured medium."""
-        return self.rendered / self.measured - 1
-
-    @property
-    def off_predicted(self) -> float:
-        """Relative to what the file says."""
-        return self.rendered / self.predicted - 1
-
-    @property
-    def noise(self) -> float:
-        """Two relative standard errors."""
-        return 2 * self.se / self.predicted
-
-
-@dataclass(frozen=True)
 class Job:
     """One picture: of all channels under a sky, of one under an edge."""
 
@@ -103,7 +73,7 @@ class Job:
 def run_export_bench(
     out: Path | None, pythons: Sequence[Path], *, effort: Effort = Effort(), progress: Progress | None = None
 ) -> tuple[list[Point], list[str]]:
-    """All points, and what was skipped and why; export.json into `out` where it is given."""
+    """All points, and what was skipped and why; export.json and pictures of edges into `out` where it is given."""
     materials = [find_materials(name)[0] for name in effort.materials or load_materials()]
     edged = [material for material in materials if material.name in effort.edges]
     points: list[Point] = []
@@ -123,7 +93,14 @@ def run_export_bench(
         with atomic_write(out / "export.json") as part:
             document = {"effort": asdict(effort), "points": [asdict(point) for point in points], "skipped": skipped}
             part.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
+        _draw(out, points)
     return points, skipped
+
+
+def _draw(out: Path, points: Sequence[Point]) -> None:
+    for material in dict.fromkeys(point.material for point in points if point.depth is not None):
+        with atomic_write(out / f"edge_{material.lower()}.png") as part:
+            draw_edges(part, points, material)
 
 
 def _jobs(materials: Sequence[Material], edged: Sequence[Material], kept: Sequence[str]) -> list[Job]:
@@ -152,7 +129,7 @@ def _cycles(
                 process.stdin.close()
             answers = (json.loads(line[7:]) for line in process.stdout if line.startswith("ANSWER "))
             done = 0
-            for job, answer in zip(jobs, answers, strict=False):
+            for job, order, answer in zip(jobs, orders, answers, strict=False):
                 done += 1
                 if progress is not None:
                     progress(f"Cycles {answer['version']}: {job.material.name}", done, len(jobs))
@@ -161,7 +138,7 @@ def _cycles(
                 predicted = [closure.light.total for closure in closures]
                 if job.kept == "verbatim":
                     predicted = [walk.spread(LIMITS).total for walk in verbatim_walks(job.material)]
-                yield from _points(name, job, closures, predicted, np.array(answer["mean"]))
+                yield from _points(name, job, closures, predicted, np.array(answer["mean"]), order["samples"])
         if done < len(jobs):
             last = (said.read_text(errors="replace").strip().splitlines() or ["no message"])[-1]
             raise InputError(f"{python}: rendered {done} of {len(jobs)} pictures ({last}); is bpy installed there?")
@@ -210,11 +187,11 @@ def _mitsuba(
             closures = [solve(medium, LIMITS) for medium in job.material.media]
             depth = depth_for(job.material.media, LOST, MOST_DEPTH)
             predicted = [medium.total * (1 - lost_share(medium, depth)) for medium in job.material.media]
-            yield from _points(f"Mitsuba {mitsuba.__version__}", job, closures, predicted, picture)
+            yield from _points(f"Mitsuba {mitsuba.__version__}", job, closures, predicted, picture, view["samples"])
 
 
 def _points(
-    renderer: str, job: Job, closures: Sequence[Closure], predicted: Sequence[float], picture: Floats
+    renderer: str, job: Job, closures: Sequence[Closure], predicted: Sequence[float], picture: Floats, samples: int
 ) -> Iterator[Point]:
     """What a picture shows, without the mirror's share."""
     mirror = float(fresnel_r(job.material.eta, 1.0))
@@ -232,6 +209,7 @@ def _points(
                 predicted[i],
                 float(shown[:, i].mean()),
                 float(se[i]),
+                samples * PIXELS**2,
             )
         return
     closure, channel = closures[job.channel], CHANNELS[job.channel]
@@ -252,40 +230,5 @@ def _points(
             float(light.edge(at).mean()),
             float(values[i]),
             float(se[i]),
+            samples * PIXELS,
         )
-
-
-def table(points: Sequence[Point], skipped: Sequence[str]) -> str:
-    """Totals, with the verbatim coefficients beside them, and edges."""
-    lines = ["R under an even sky over the measured one, with two standard errors; verbatim: coefficients as they are"]
-    totals = [point for point in points if point.depth is None]
-    for key in dict.fromkeys((point.renderer, point.material) for point in totals):
-        here = [point for point in totals if (point.renderer, point.material) == key]
-        kept = [point for point in here if point.kept != "verbatim"]
-        as_is = [f"{100 * point.off:+.0f}" for point in here if point.kept == "verbatim"]
-        told = "  ".join(f"{100 * point.off:+5.2f} ± {100 * point.noise:.2f}" for point in kept)
-        lines.append(f"{key[0]:<16} {key[1]:<10} {told} %" + (f"  verbatim {' '.join(as_is)} %" if as_is else ""))
-    edges = [point for point in points if point.depth is not None]
-    if edges:
-        lines += [
-            "",
-            "Edge of a shadow: worst beyond two standard errors; lit side, to 1.5/σtr, and against the file to 3.2/σtr",
-        ]
-    for edge in dict.fromkeys((point.renderer, point.material, point.channel) for point in edges):
-        here = [point for point in edges if (point.renderer, point.material, point.channel) == edge]
-        lines.append(f"{edge[0]:<16} {edge[1]:<10} {edge[2]}  " + "  ".join(f"{100 * x:.1f} %" for x in worst(here)))
-    return "\n".join([*lines, *(f"skipped {line}" for line in skipped)])
-
-
-def worst(edge: Sequence[Point]) -> tuple[float, float, float]:
-    """Beyond two standard errors: off the measured light when lit and to 1.5/σtr, anywhere off the file's."""
-
-    def most(values: Iterator[float]) -> float:
-        return max((value for value in values), default=0.0)
-
-    depths = [(point.depth or 0.0, point) for point in edge]
-    return (
-        most(abs(point.off) - point.noise for depth, point in depths if depth < 0),
-        most(abs(point.off) - point.noise for depth, point in depths if 0 < depth <= 1.5),
-        most(abs(point.off_predicted) - point.noise for _, point in depths),
-    )

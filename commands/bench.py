@@ -182,7 +182,8 @@ def export(out: Path | None, force: bool, pythons: tuple[Path, ...], materials: 
     """
     from dataclasses import replace
 
-    from bssrdf.bench.export import QUICK, Effort, run_export_bench, table
+    from bssrdf.bench.export import QUICK, Effort, run_export_bench
+    from bssrdf.bench.export_results import table
     from bssrdf.report import steps
 
     effort = replace(QUICK if quick else Effort(), materials=materials)
