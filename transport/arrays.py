@@ -57,14 +57,20 @@ class NumpyEngine:
 
     @staticmethod
     def loop(go_on: Callable[[State], Any], body: Callable[[State, Fixed], State], state: State, fixed: Fixed) -> State:
-        whole, rows = state, None
+        whole, rows = state, np.empty(0, int)
         while (on := go_on(state)).any():
             if not on.all():  # those that are done leave
-                whole = state if rows is None else replaced(whole, rows, state)
-                rows = np.flatnonzero(on) if rows is None else rows[on]
+                if rows.size:
+                    _put(whole, rows[~on], picked(state, ~on))
+                else:
+                    whole = replaced(state, [], picked(state, []))  # a copy
+                rows = rows[on] if rows.size else np.flatnonzero(on)
                 state, fixed = picked(state, on), picked(fixed, on)
             state = body(state, fixed)
-        return state if rows is None else replaced(whole, rows, state)
+        if not rows.size:
+            return state
+        _put(whole, rows, state)
+        return whole
 
     @staticmethod
     def take(rows: Any, cell: Any) -> tuple[Any, ...]:
@@ -128,6 +134,15 @@ def picked(tree: Any, rows: Any) -> Any:
         made = [picked(each, rows) for each in tree]
         return type(tree)(*made) if hasattr(tree, "_fields") else tuple(made)
     return tree[rows] if isinstance(tree, np.ndarray) else tree
+
+
+def _put(tree: Any, rows: Any, new: Any) -> None:
+    """Some rows from another, in place."""
+    if isinstance(tree, tuple):
+        for old, each in zip(tree, new, strict=True):
+            _put(old, rows, each)
+    elif isinstance(tree, np.ndarray):
+        tree[rows] = new
 
 
 def replaced(tree: Any, rows: Any, new: Any) -> Any:
