@@ -196,7 +196,7 @@ def test_a_sample_that_cannot_be_is_refused_in_one_line(keys: dict[str, Any], sa
 
 
 def test_intervals_hold_where_depth_and_back_are_drawn() -> None:
-    """A small version of `bssrdf bench finite`."""
+    """A small version of `python -m bssrdf.bench.finite_trials`."""
     rng = np.random.default_rng(5)
     trials = [(case, finite_light.drawn(case, rng)) for case in DEEP if not case.g for _ in range(4)]
     fits = fit_slices([piece for _, piece in trials], OPTIONS)
