@@ -33,7 +33,7 @@ DOUBTFUL = 2.0
 DARK_Q = 1.0
 """Likewise: R hardly tells one dark medium from another."""
 SURELY_POOR = 4.0
-"""Standard deviations of χ² from which on a misfit is no chance: errors are taken as larger, others are tried."""
+"""Standard deviations of χ² from which on a misfit is not chance: errors are taken as larger, others are tried."""
 RIVAL = 4.0
 """Of the cost, in the scatter's own variance: a second optimum this near the best is as good."""
 

@@ -143,14 +143,14 @@ def _check_light_is_inside(frame: Frame, radiance: Plane) -> None:
     light = radiance if radiance.ndim == 2 else radiance.sum(2)
     usable = np.isfinite(light)
     near = np.ones((3, 3), np.uint8)
-    without_data = cv2.morphologyEx((~usable).astype(np.uint8), cv2.MORPH_OPEN, near)  # single pixels are no window
+    without_data = cv2.morphologyEx((~usable).astype(np.uint8), cv2.MORPH_OPEN, near)  # single pixels are not a window
     beside = usable & (cv2.dilate(without_data, near) > 0)
     if beside.any() and light[beside].max() > _BRIGHT_EDGE * light[usable].max():
         raise InputError(f"{frame.file}: its data window cuts through the spot; save the whole picture")
 
 
 def _with_variance(radiance: Plane, period: int, rel_sd: float | None) -> Hdr:
-    """The image with its variance, given or by its own scatter; pixels that are no number have no data.
+    """The image with its variance, given or by its own scatter; pixels that are not numbers have no data.
 
     Where values pile up at the end of a channel, the tool that merged it had no exposure short enough.
     """

@@ -14,7 +14,7 @@ WORN = re.compile(
     r"""
       \b(samples|lines?|noise|rows?|photons|fits|curves|pixels|files?|time|times|one|two|value|values|object)
         \ an?\ (pixel|frame|radius|trial|second|channel|line|fit|curve|photon|session|slice)\b  # per
-    | (?<!there\ )\b(is|are)\ no\ (?!light|error|longer|model|such|data|datum)\w+           # is not a
+    | (?<!there\ )\b(is|are)\ no\ (?!light|error|longer|model|more|wider|such|data|datum)\w+           # is not a
     | put\ (it|them|that)\ right | let\ it\ end | c[ao]me\ to\ rest | nobody\ laid
     | (bug|scene|bench)s?\ of\ ours | found\ fault | of\ unknown\ factor | datum\ more
     | Look\ whether | Go\ on\ with\ a | if\ not\ given | against\ each\ other
