@@ -267,7 +267,7 @@ def test_slabs_of_eight_mean_free_paths_and_more_are_as_the_engine_has_them(case
     rd, total = predicted(case)
     assert light.total == pytest.approx(total, abs=0.005 * total + 3 * light.total_se)
     off, noise = light.rd[1:] / rd[1:] - 1, light.rd_se[1:] / rd[1:]
-    told = noise < 0.05
+    told = (noise < 0.05) & (light.rd[1:] > 1e-4 * light.rd[1])  # fainter annuli of dark media hang on a few photons
     excess = float(np.mean(off[told] ** 2 - noise[told] ** 2))
     scatter = float(np.sqrt(2 * np.sum(noise[told] ** 4)) / told.sum())
     assert excess < (0.03 if case.depth_mfp < 10 else 0.01) ** 2 + 4 * scatter
