@@ -10,10 +10,11 @@ version = release
 
 extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
 exclude_patterns = ["**.ipynb_checkpoints", "tutorial"]
-myst_enable_extensions = ["dollarmath"]
 highlight_language = "none"
+myst_enable_extensions = ["tasklist"]
 myst_heading_anchors = 4
 nb_execution_mode = "force"
+nb_execution_in_temp = True
 nb_execution_raise_on_error = True
 nb_execution_timeout = 120
 nb_execution_excludepatterns = ["notebooks/*"]  # tests/test_notebook.py executes it
