@@ -40,7 +40,7 @@ class Driver:
 
     keys: Mapping[str, Check]
     make: Callable[[Bench, dict[str, Any]], Any]
-    """From the bench and the checked keys to a `ports.Shutter`, `ports.Beam` or `ports.Camera`, not yet connected."""
+    """From the bench and the checked keys to a `ports.ShutterPort`, `BeamPort` or `CameraPort`, not yet connected."""
     required: tuple[str, ...] = ()
     by_hand: bool = False
     """Of a shutter: whether a person moves it, so that it stays as it is until the next frame wants it otherwise."""

@@ -8,12 +8,15 @@ import runpy
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 from builders import OF_TWO_CODES, curve_file
 
 from bssrdf.cli import cli
 from bssrdf.commands.console import run
+from bssrdf.errors import DeviceError
+from bssrdf.rig.ports import CameraPort, ShutterPort
 
 ROOT = Path(__file__).resolve().parents[1]
 CURVES = ROOT / "docs" / "curves.md"
@@ -42,6 +45,23 @@ def test_curves_from_elsewhere_are_converted_and_fitted(tmp_path: Path, capsys: 
     assert marble["sigma_sp_per_mm"] / 2.62 - 1 == pytest.approx(0.02, abs=0.02)
     assert marble["sigma_a_per_mm"] / 0.0041 - 1 == pytest.approx(-0.07, abs=0.04)
     assert marble["window_mm"] == pytest.approx([1 / 2.62, 24 / 2.62], rel=0.1)
+
+
+def test_shutter_and_camera_to_start_from_have_what_the_engine_asks_of_one(tmp_path: Path) -> None:
+    page = (ROOT / "docs" / "extending.md").read_text(encoding="utf-8")
+    names: dict[str, Any] = {}
+    exec("\n".join(re.findall(r"```python\n(.*?)```", page, re.DOTALL)), names)
+    assert set(dir(names["CURTAIN"].make(None, {"port": "/dev/rail"}))) >= members_of(ShutterPort)
+    (tmp_path / "old.tif").write_bytes(b"a frame")
+    archive = names["Archive"]({0.5: tmp_path / "old.tif"})
+    assert set(dir(archive)) >= members_of(CameraPort)
+    assert archive.take(0.5, tmp_path / "new", lambda: None) == tmp_path / "new.tif"
+    with pytest.raises(DeviceError, match="no frame of 2 s"):
+        archive.take(2.0, tmp_path / "new", lambda: None)
+
+
+def members_of(port: type) -> set[str]:
+    return {name for name in vars(port) if not name.startswith("_")}
 
 
 def test_tables_of_keys_and_flags_say_what_is_declared() -> None:

@@ -1,4 +1,4 @@
-"""The tutorial and "A curve from elsewhere": each command runs as it stands, and prints what the page says."""
+"""The pages that lead by the hand: each command runs as it stands, and prints what the page says."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from filmed import film, marble
 
 ROOT = Path(__file__).resolve().parents[1]
 SESSION = ROOT / "docs" / "tutorial" / "marble"
@@ -46,6 +47,14 @@ def test_tutorial_runs_as_it_stands_and_finds_what_the_light_was_made_with(tmp_p
 
 def test_a_curve_from_elsewhere_runs_as_it_stands(tmp_path: Path) -> None:
     run_page("curves.md", tmp_path)
+
+
+def test_frames_of_a_camera_of_your_own_run_as_it_stands(tmp_path: Path) -> None:
+    film(marble(), tmp_path / "photos")
+    run_page("dslr.md", tmp_path)
+    fit = json.loads((tmp_path / "marble" / "fit.json").read_text(encoding="utf-8"))
+    assert {channel: found["status"] for channel, found in fit["channels"].items()} == dict.fromkeys("RGB", "converged")
+    assert (tmp_path / "marble" / "report.html").is_file()
 
 
 def test_session_of_the_tutorial_is_what_its_script_films(tmp_path: Path) -> None:
