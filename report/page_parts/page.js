@@ -45,7 +45,8 @@
   function draw(figure) {
     const data = JSON.parse(figure.querySelector("script").textContent);
     const box = figure.querySelector(".live");
-    if (!data.r.length) return;
+    const has = (name) => data[name].some((value) => value !== null);
+    if (!has("rd") || !has("model")) return; // the printed figure stays where nothing was fitted
     figure.classList.add("has-live");
     const pair = [];
     let busy = false;
@@ -60,22 +61,22 @@
     const through = (colour, dash) => ({ stroke: ink(colour), width: 1.5, dash, spanGaps: true, points: { show: false } });
     const digits = (u, v) => (v === null || v === undefined ? "–" : v.toPrecision(3));
     const width = () => Math.max(260, figure.clientWidth);
+    const lines = [["rd", "measured", dot("--point")], ["model", "model", through("--model")],
+      ["dipole", "dipole", through("--dipole", [6, 4])], ["mc", "Monte Carlo", through("--mc", [2, 3])]].filter(([name]) => has(name));
     const curve = new uPlot({
-      ...both, width: width(), height: 330, scales: { x: { time: false, distr: 3, range: asIs }, y: { distr: 3, range: (u, low, high) => [low / 1.2, high * 1.2] } },
+      ...both, width: width(), height: 330, scales: { x: { time: false, distr: 3, range: asIs }, y: { distr: 3, range: (u, low, high) => (low > 0 && high >= low ? [low / 1.2, high * 1.2] : [0.001, 1]) } },
       axes: [axis({ values: logSplits }), axis({ values: logSplits, label: "R_d, 1/mm²", size: 62 })],
-      series: [{ label: "r, mm", value: digits }, { label: "measured", ...dot("--point"), value: digits },
-        { label: "model", ...through("--model"), value: digits }, { label: "dipole", ...through("--dipole", [6, 4]), value: digits },
-        { label: "Monte Carlo", ...through("--mc", [2, 3]), value: digits }],
+      series: [{ label: "r, mm", value: digits }, ...lines.map(([, label, look]) => ({ label, ...look, value: digits }))],
       hooks: { drawClear: [shade(data)], draw: [bars(data)], setScale: [together] },
-    }, [data.r, data.rd, data.model, data.dipole, data.mc], box);
+    }, [data.r, ...lines.map(([name]) => data[name])], box);
     const shown = data.z.map((z) => (z === null ? null : Math.max(-8, Math.min(8, z))));
-    const residual = new uPlot({
-      ...both, width: width(), height: 170, scales: { x: { time: false, distr: 3, range: asIs }, y: { range: (u, lo, hi) => { const far = Math.max(3, -lo, hi); return [-far, far]; } } },
+    const residual = has("z") && new uPlot({
+      ...both, width: width(), height: 170, scales: { x: { time: false, distr: 3, range: asIs }, y: { range: (u, lo, hi) => { const far = Math.max(3, ...[-lo, hi].filter(Number.isFinite)); return [-far, far]; } } },
       axes: [axis({ values: logSplits, label: "distance from the beam, mm" }), axis({ label: "residual, sd", size: 62, space: 18 })],
       series: [{ label: "r, mm", value: digits }, { label: "(measured − model)/sd", ...dot("--point"), value: digits }],
       hooks: { drawClear: [shade(data)], setScale: [together] },
     }, [data.r, shown], box);
-    pair.push(curve, residual);
+    pair.push(...[curve, residual].filter(Boolean));
     plots.push(...pair);
     new ResizeObserver(() => pair.forEach((u) => figure.clientWidth && u.width !== width() && u.setSize({ width: width(), height: u.height }))).observe(figure);
   }
