@@ -118,7 +118,7 @@ def is_parquet(path: Path) -> bool:
 
 @contextmanager
 def opened(path: Path) -> Iterator[pq.ParquetFile]:
-    """The file, open; InputError where it is no Parquet, damaged, or of a later version."""
+    """The file, open; InputError where it is not Parquet, damaged, or of a later version."""
     pa = arrow()
     try:
         with path.open("rb") as stream, pa.parquet.ParquetFile(stream, memory_map=False) as file:

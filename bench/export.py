@@ -20,9 +20,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bssrdf.bench.export_plot import draw_edges
-from bssrdf.bench.export_results import Point
+from bssrdf.bench.export_results import EdgePoint
 from bssrdf.errors import InputError
-from bssrdf.export import Closure, Material, find_materials
+from bssrdf.export import Closure, ExportMaterial, find_materials
 from bssrdf.export.blender import LIMITS, blender_text, verbatim_text, verbatim_walks
 from bssrdf.export.closure import solve
 from bssrdf.export.loss import depth_for, lost_share
@@ -46,7 +46,7 @@ _SUB = (np.arange(16) + 0.5) / 16 - 0.5
 
 
 @dataclass(frozen=True)
-class Effort:
+class RenderEffort:
     """How much is rendered."""
 
     materials: tuple[str, ...] = ()
@@ -58,25 +58,29 @@ class Effort:
     mitsuba_edge_samples: int = 96
 
 
-QUICK = Effort(sky_samples=32, edge_samples=64, mitsuba_samples=8, mitsuba_edge_samples=8)
+QUICK = RenderEffort(sky_samples=32, edge_samples=64, mitsuba_samples=8, mitsuba_edge_samples=8)
 
 
 @dataclass(frozen=True)
-class Job:
+class RenderJob:
     """One picture: of all channels under a sky, of one under an edge."""
 
-    material: Material
+    material: ExportMaterial
     kept: str
     channel: int | None = None
 
 
 def run_export_bench(
-    out: Path | None, pythons: Sequence[Path], *, effort: Effort = Effort(), progress: Progress | None = None
-) -> tuple[list[Point], list[str]]:
+    out: Path | None,
+    pythons: Sequence[Path],
+    *,
+    effort: RenderEffort = RenderEffort(),
+    progress: Progress | None = None,
+) -> tuple[list[EdgePoint], list[str]]:
     """All points, and what was skipped and why; export.json and pictures of edges into `out` where it is given."""
     materials = [find_materials(name)[0] for name in effort.materials or load_materials()]
     edged = [material for material in materials if material.name in effort.edges]
-    points: list[Point] = []
+    points: list[EdgePoint] = []
     skipped = (
         []
         if pythons
@@ -97,20 +101,24 @@ def run_export_bench(
     return points, skipped
 
 
-def _draw(out: Path, points: Sequence[Point]) -> None:
+def _draw(out: Path, points: Sequence[EdgePoint]) -> None:
     for material in dict.fromkeys(point.material for point in points if point.depth is not None):
         with atomic_write(out / f"edge_{material.lower()}.png") as part:
             draw_edges(part, points, material)
 
 
-def _jobs(materials: Sequence[Material], edged: Sequence[Material], kept: Sequence[str]) -> list[Job]:
-    skies = [Job(material, each) for material in materials for each in kept]
-    return skies + [Job(material, kept[0], channel) for material in edged for channel in range(3)]
+def _jobs(materials: Sequence[ExportMaterial], edged: Sequence[ExportMaterial], kept: Sequence[str]) -> list[RenderJob]:
+    skies = [RenderJob(material, each) for material in materials for each in kept]
+    return skies + [RenderJob(material, kept[0], channel) for material in edged for channel in range(3)]
 
 
 def _cycles(
-    python: Path, materials: Sequence[Material], edged: Sequence[Material], effort: Effort, progress: Progress | None
-) -> Iterator[Point]:
+    python: Path,
+    materials: Sequence[ExportMaterial],
+    edged: Sequence[ExportMaterial],
+    effort: RenderEffort,
+    progress: Progress | None,
+) -> Iterator[EdgePoint]:
     """Points by the Cycles of this Python, from a child process."""
     jobs = _jobs(materials, edged, ("appearance", "verbatim"))
     with tempfile.TemporaryDirectory() as folder, as_file(files(__package__) / "cycles_child.py") as child:
@@ -144,7 +152,7 @@ def _cycles(
             raise InputError(f"{python}: rendered {done} of {len(jobs)} pictures ({last}); is bpy installed there?")
 
 
-def _order(job: Job, number: int, folder: Path, effort: Effort) -> dict[str, Any]:
+def _order(job: RenderJob, number: int, folder: Path, effort: RenderEffort) -> dict[str, Any]:
     file = folder / f"{number}.py"
     setting = Setting("Cycles", "appearance", "m", scene_unit=True)
     write = verbatim_text if job.kept == "verbatim" else blender_text
@@ -157,7 +165,7 @@ def _order(job: Job, number: int, folder: Path, effort: Effort) -> dict[str, Any
     }
 
 
-def _view(job: Job, sky_samples: int, edge_samples: int) -> dict[str, Any]:
+def _view(job: RenderJob, sky_samples: int, edge_samples: int) -> dict[str, Any]:
     if job.channel is None:
         return {"light": "sky", "half_mm": SKY_HALF_MM, "field_mm": SKY_FIELD_MM, "samples": sky_samples}
     length = solve(job.material.media[job.channel], LIMITS).length_mm
@@ -165,8 +173,11 @@ def _view(job: Job, sky_samples: int, edge_samples: int) -> dict[str, Any]:
 
 
 def _mitsuba(
-    materials: Sequence[Material], edged: Sequence[Material], effort: Effort, progress: Progress | None
-) -> Iterator[Point]:
+    materials: Sequence[ExportMaterial],
+    edged: Sequence[ExportMaterial],
+    effort: RenderEffort,
+    progress: Progress | None,
+) -> Iterator[EdgePoint]:
     """Points by Mitsuba's volumetric path tracer, in this process."""
     from bssrdf.bench.mitsuba_slab import render_slab
     from bssrdf.render.variant import use_variant
@@ -191,15 +202,20 @@ def _mitsuba(
 
 
 def _points(
-    renderer: str, job: Job, closures: Sequence[Closure], predicted: Sequence[float], picture: Floats, samples: int
-) -> Iterator[Point]:
+    renderer: str,
+    job: RenderJob,
+    closures: Sequence[Closure],
+    predicted: Sequence[float],
+    picture: Floats,
+    samples: int,
+) -> Iterator[EdgePoint]:
     """What a picture shows, without the mirror's share."""
     mirror = float(fresnel_r(job.material.eta, 1.0))
     if job.channel is None:
         shown = (picture.reshape(-1, 3) - mirror) / (1 - mirror)
         se = shown.std(0) / np.sqrt(len(shown))
         for i, channel in enumerate(CHANNELS):
-            yield Point(
+            yield EdgePoint(
                 renderer,
                 job.kept,
                 job.material.name,
@@ -220,7 +236,7 @@ def _points(
     light = closure.measured if job.kept == "medium" else closure.light
     for i, x in enumerate(depth):
         at = (x + width * _SUB) * closure.length_mm
-        yield Point(
+        yield EdgePoint(
             renderer,
             job.kept,
             job.material.name,

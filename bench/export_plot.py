@@ -12,13 +12,13 @@ matplotlib.use("agg")
 import matplotlib.pyplot as plt
 import numpy as np
 
-from bssrdf.bench.export_results import Point
+from bssrdf.bench.export_results import EdgePoint
 
 _COLOURS = {"R": "tab:red", "G": "tab:green", "B": "tab:blue"}
 _MARKS = "o^sDv"
 
 
-def draw_edges(path: Path, points: Sequence[Point], material: str) -> None:
+def draw_edges(path: Path, points: Sequence[EdgePoint], material: str) -> None:
     """One panel a channel: strips of the pictures above, brightness by depth into the shadow below."""
     edges = [point for point in points if point.depth is not None and point.material == material]
     renderers = list(dict.fromkeys(point.renderer for point in edges))

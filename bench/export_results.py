@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 
 @dataclass(frozen=True)
-class Point:
+class EdgePoint:
     """One number of a picture beside what it should be."""
 
     renderer: str
@@ -42,7 +42,7 @@ class Point:
         return 2 * max(self.se, least) / self.predicted
 
 
-def table(points: Sequence[Point], skipped: Sequence[str]) -> str:
+def table(points: Sequence[EdgePoint], skipped: Sequence[str]) -> str:
     """Totals, with the verbatim coefficients beside them, and edges."""
     lines = [
         "R under an even sky, off the measured one, ± two standard errors [%];",
@@ -71,7 +71,7 @@ def _short(renderer: str) -> str:
     return renderer.removesuffix(" LTS")
 
 
-def worst(edge: Sequence[Point]) -> tuple[float, float, float]:
+def worst(edge: Sequence[EdgePoint]) -> tuple[float, float, float]:
     """Beyond two standard errors: off the measured light when lit and to 1.5/σtr, anywhere off the file's."""
 
     def most(values: Iterator[float]) -> float:

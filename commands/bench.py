@@ -182,11 +182,11 @@ def export(out: Path | None, force: bool, pythons: tuple[Path, ...], materials: 
     """
     from dataclasses import replace
 
-    from bssrdf.bench.export import QUICK, Effort, run_export_bench
+    from bssrdf.bench.export import QUICK, RenderEffort, run_export_bench
     from bssrdf.bench.export_results import table
     from bssrdf.report import steps
 
-    effort = replace(QUICK if quick else Effort(), materials=materials)
+    effort = replace(QUICK if quick else RenderEffort(), materials=materials)
     with steps(quiet=is_quiet()) as progress:
         points, skipped = run_export_bench(out and fresh(out, force), pythons, effort=effort, progress=progress)
     click.echo(table(points, skipped))

@@ -20,7 +20,7 @@ from bssrdf.errors import UsageError
     required=True,
     help="For what.",
 )
-@click.option("--renderer-version", metavar="X.Y", help="Only for this version; for all that are known if not given.")
+@click.option("--renderer-version", metavar="X.Y", help="Only for this version (default: all that are known).")
 @click.option(
     "--unit", type=click.Choice(["mm", "cm", "m"]), help="Of the scene. Default: Blender's scene, m for usd, else mm."
 )

@@ -6,7 +6,7 @@ from bssrdf.door import door
 
 if TYPE_CHECKING:
     from bssrdf.export.closure import Closure as Closure
-    from bssrdf.export.material import Material as Material
+    from bssrdf.export.material import ExportMaterial as ExportMaterial
     from bssrdf.export.material import find_materials as find_materials
     from bssrdf.export.run import export_files as export_files
     from bssrdf.export.run import read_version as read_version

@@ -8,9 +8,9 @@ from importlib.resources import files
 from typing import Any
 
 from bssrdf.export.bounce_walk import N_ORDERS
-from bssrdf.export.closure import Limits, Walk
-from bssrdf.export.inversions import BLENDER, Rule
-from bssrdf.export.material import Material
+from bssrdf.export.closure import Limits, MatchedWalk
+from bssrdf.export.inversions import BLENDER, ClosureRule
+from bssrdf.export.material import ExportMaterial
 from bssrdf.export.solved import Bounded, Setting, closure_residuals, closures, depth_residuals, head
 from bssrdf.export.text import comment
 from bssrdf.export.unit import MM, Unit, coefficients, lengths, rounded
@@ -25,13 +25,13 @@ _USE = (
 )
 
 
-def rules(version: tuple[int, int] | None) -> tuple[Rule, ...]:
+def rules(version: tuple[int, int] | None) -> tuple[ClosureRule, ...]:
     """Those of the version, or all."""
     new, old = BLENDER
     return BLENDER if version is None else (new,) if version >= (5, 2) else (old,)
 
 
-def blender_text(materials: Sequence[Material], setting: Setting, version: tuple[int, int] | None = None) -> str:
+def blender_text(materials: Sequence[ExportMaterial], setting: Setting, version: tuple[int, int] | None = None) -> str:
     """The file."""
     described = [_described(material, setting, version) for material in materials]
     return file_text([said for said, _ in described], [numbers for _, numbers in described], setting)
@@ -50,7 +50,7 @@ def file_text(said: Sequence[Sequence[str]], numbers: Sequence[dict[str, Any]], 
 
 
 def _described(
-    material: Material, setting: Setting, version: tuple[int, int] | None
+    material: ExportMaterial, setting: Setting, version: tuple[int, int] | None
 ) -> tuple[list[str], dict[str, Any]]:
     said = head(material, setting)
     numbers: dict[str, Any] = {"name": material.name, "kept": setting.keep, "eta": material.eta}
@@ -66,7 +66,7 @@ def _described(
     return said + closure_residuals(bounded), numbers | {"rules": by_rule}
 
 
-def verbatim_text(materials: Sequence[Material], setting: Setting) -> str:
+def verbatim_text(materials: Sequence[ExportMaterial], setting: Setting) -> str:
     """The file with the coefficients as they are, as if no light were reflected inside: too bright, for comparison."""
     numbers = []
     for material in materials:
@@ -77,18 +77,20 @@ def verbatim_text(materials: Sequence[Material], setting: Setting) -> str:
     return file_text([["coefficients as they are"]] * len(numbers), numbers, setting)
 
 
-def verbatim_walks(material: Material) -> list[Walk]:
+def verbatim_walks(material: ExportMaterial) -> list[MatchedWalk]:
     """Random walks of the coefficients as they are."""
-    return [Walk(medium.sigma_sp / medium.sigma_tp, 1 / medium.sigma_tp) for medium in material.media]
+    return [MatchedWalk(medium.sigma_sp / medium.sigma_tp, 1 / medium.sigma_tp) for medium in material.media]
 
 
-def rule_numbers(bounded: Bounded, rule: Rule, unit: Unit) -> dict[str, Any]:
+def rule_numbers(bounded: Bounded, rule: ClosureRule, unit: Unit) -> dict[str, Any]:
     """Colours and radii of the walks under one rule."""
     first = [closure.first for closure in bounded.closures]
     return _numbers(first, [closure.second for closure in bounded.closures], rule, unit)
 
 
-def _numbers(first: Sequence[Walk], second: Sequence[Walk | None], rule: Rule, unit: Unit) -> dict[str, Any]:
+def _numbers(
+    first: Sequence[MatchedWalk], second: Sequence[MatchedWalk | None], rule: ClosureRule, unit: Unit
+) -> dict[str, Any]:
     numbers: dict[str, Any] = {
         "colour": [rounded(rule.colour(walk.albedo)) for walk in first],
         "radius": lengths(tuple(rule.radius_per_mfp * walk.mfp_mm for walk in first), unit),

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy.optimize import brentq, minimize, minimize_scalar
 
 from bssrdf.errors import InputError
-from bssrdf.export.spread import Medium, Spread, added, measured_spread, walk_spread
+from bssrdf.export.spread import Spread, WalkMedium, added, measured_spread, walk_spread
 from bssrdf.transport import decay_constant, half_space
 
 Floats = NDArray[np.float64]
@@ -37,7 +37,7 @@ SECOND_WEIGHT = 0.13
 WORTH = 0.7
 """What is left of the mismatch where a second walk is worth its while."""
 LEAST_SECOND = 1e-3
-"""Of R: less is no second walk."""
+"""Of R: less is not a second walk."""
 SHARES, NEAR, FAR = (-3.0, -1.0, 1.0, 3.0), (0.6, 0.8, 1.0, 1.3), (1.5, 3.0, 6.0, 12.0, 24.0)
 """Where the search for two walks looks first: logit of the second's part, mean free paths over those of one walk."""
 
@@ -53,7 +53,7 @@ class Limits(NamedTuple):
     """Whether two walks can be added."""
 
 
-class Walk(NamedTuple):
+class MatchedWalk(NamedTuple):
     """An isotropic, index-matched random walk."""
 
     albedo: float
@@ -70,8 +70,8 @@ class Walk(NamedTuple):
 class Closure(NamedTuple):
     """One or two walks that stand for a medium in one channel, and what their light is."""
 
-    first: Walk
-    second: Walk | None
+    first: MatchedWalk
+    second: MatchedWalk | None
     light: Spread
     measured: Spread
     length_mm: float
@@ -79,7 +79,7 @@ class Closure(NamedTuple):
 
 
 @functools.lru_cache(maxsize=64)
-def solve(medium: Medium, limits: Limits) -> Closure:
+def solve(medium: WalkMedium, limits: Limits) -> Closure:
     """The closure nearest to the medium; InputError where the table knows no such medium."""
     if medium.sigma_sp < LEAST_REDUCED * medium.sigma_tp:
         raise InputError(
@@ -101,7 +101,7 @@ def walk_total(albedo: float, limits: Limits) -> float:
     """R of a walk."""
     if limits.bounces is None and albedo >= max(limits.least_albedo, 0.02):
         return half_space(albedo, 0.0, 1.0, np.array([1.0])).total
-    return Walk(albedo, 1.0).spread(limits).total
+    return MatchedWalk(albedo, 1.0).spread(limits).total
 
 
 def albedo_of_total(total: float, limits: Limits) -> float:
@@ -123,21 +123,21 @@ def _worst(light: Spread, measured: Spread, length_mm: float) -> float:
     return max(float(np.abs(shadow).max()) / SHADOW, float(np.abs(lit).max()) / LIT)
 
 
-def _one(medium: Medium, measured: Spread, length: float, limits: Limits) -> tuple[Walk, float]:
+def _one(medium: WalkMedium, measured: Spread, length: float, limits: Limits) -> tuple[MatchedWalk, float]:
     """One walk of the measured R, and how far it is off, in units of LIT and SHADOW."""
     albedo = albedo_of_total(measured.total, limits)
     like_far_out = _same_decay(medium, albedo)
 
     def off(log_mfp: float) -> float:
-        return _worst(Walk(albedo, math.exp(log_mfp)).spread(limits), measured, length)
+        return _worst(MatchedWalk(albedo, math.exp(log_mfp)).spread(limits), measured, length)
 
     # far from 1/σtr the two decays differ by less than a factor of two: scattered once, light of any medium is alike
     around = math.log(like_far_out)
     found = minimize_scalar(off, bounds=(around - 0.8, around + 0.8), method="bounded", options={"xatol": 1e-4})
-    return Walk(albedo, math.exp(found.x)), float(found.fun)
+    return MatchedWalk(albedo, math.exp(found.x)), float(found.fun)
 
 
-def _same_decay(medium: Medium, albedo: float) -> float:
+def _same_decay(medium: WalkMedium, albedo: float) -> float:
     """The mean free path with which light far out falls alike: κ*/κ, both exact; for white media their limit."""
     a = medium.sigma_s / (medium.sigma_s + medium.sigma_a)
     sigma_t = medium.sigma_s + medium.sigma_a
@@ -145,16 +145,18 @@ def _same_decay(medium: Medium, albedo: float) -> float:
     return decay_constant(min(albedo, MOST_ALBEDO), 0.0) / kappa
 
 
-def _two(one: Walk, measured: Spread, length: float, limits: Limits) -> tuple[tuple[Walk, Walk], float]:
+def _two(
+    one: MatchedWalk, measured: Spread, length: float, limits: Limits
+) -> tuple[tuple[MatchedWalk, MatchedWalk], float]:
     """Two walks that have the measured R together, the far one's share and both mean free paths by the edge."""
     most = walk_total(MOST_ALBEDO, limits)
     lo, hi = max(measured.total - most, LEAST_SECOND * measured.total), SECOND_WEIGHT * most
 
-    def walks(p: Floats) -> tuple[Walk, Walk]:
+    def walks(p: Floats) -> tuple[MatchedWalk, MatchedWalk]:
         second = lo + (hi - lo) / (1 + math.exp(-p[0]))
-        first = Walk(albedo_of_total(measured.total - second, limits), one.mfp_mm * math.exp(p[1]))
+        first = MatchedWalk(albedo_of_total(measured.total - second, limits), one.mfp_mm * math.exp(p[1]))
         albedo = albedo_of_total(second / SECOND_WEIGHT, limits)
-        return first, Walk(albedo, one.mfp_mm * math.exp(p[2]), SECOND_WEIGHT)
+        return first, MatchedWalk(albedo, one.mfp_mm * math.exp(p[2]), SECOND_WEIGHT)
 
     def off(p: Floats) -> float:
         return _worst(added([walk.spread(limits) for walk in walks(p)]), measured, length)

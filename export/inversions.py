@@ -28,7 +28,7 @@ def _wrenninge_albedo(colour: float) -> float:
     return (1 - blend) * low + blend * high
 
 
-class Rule(NamedTuple):
+class ClosureRule(NamedTuple):
     """How Cycles reads its random walk."""
 
     version: Literal["5.1", "5.2"]
@@ -41,5 +41,5 @@ class Rule(NamedTuple):
         return van_de_hulst(albedo) if self.version == "5.2" else wrenninge(albedo)
 
 
-BLENDER = (Rule("5.2", "RANDOM_WALK", 1.0), Rule("5.1", "RANDOM_WALK", 4 * math.pi))
+BLENDER = (ClosureRule("5.2", "RANDOM_WALK", 1.0), ClosureRule("5.1", "RANDOM_WALK", 4 * math.pi))
 """From 5.2 on, and up to 5.1 (which later versions still have as RANDOM_WALK_LEGACY)."""

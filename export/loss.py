@@ -6,14 +6,14 @@ import math
 
 import numpy as np
 
-from bssrdf.export.spread import Medium
+from bssrdf.export.spread import WalkMedium
 from bssrdf.transport import half_space
 
 NEARLY_WHITE = 1e-6
 """1 − albedo at which R has its square-root law."""
 
 
-def lost_share(medium: Medium, depth: int) -> float:
+def lost_share(medium: WalkMedium, depth: int) -> float:
     """Of R, what comes out after more than `depth` scatterings.
 
     Where R = 1 − c √(1 − α) near α = 1, the order n carries c/(2 √π) n^(−3/2) αⁿ.
@@ -25,7 +25,7 @@ def lost_share(medium: Medium, depth: int) -> float:
     return tail / medium.total
 
 
-def depth_for(media: tuple[Medium, ...], share: float, most: int) -> int:
+def depth_for(media: tuple[WalkMedium, ...], share: float, most: int) -> int:
     """The least power of two at which none of the media loses more than this share, or `most`."""
     depth = 1024
     while depth < most and max(lost_share(medium, depth) for medium in media) > share:

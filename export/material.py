@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from bssrdf.errors import InputError
-from bssrdf.export.spread import Medium
+from bssrdf.export.spread import WalkMedium
 from bssrdf.export.text import identifier
 from bssrdf.session.fit_json import fits_in, read_fit
 from bssrdf.session.records import ChannelFit, Fit
@@ -32,7 +32,7 @@ UNTRUSTED = {
 
 
 @dataclass(frozen=True)
-class Material:
+class ExportMaterial:
     """A homogeneous medium in red, green and blue."""
 
     name: str
@@ -47,15 +47,15 @@ class Material:
     """What the user must know of it, a line each."""
 
     @property
-    def media(self) -> tuple[Medium, Medium, Medium]:
+    def media(self) -> tuple[WalkMedium, WalkMedium, WalkMedium]:
         """A medium for each channel."""
-        r, g, b = (Medium(a, sp, self.eta, self.g) for a, sp in zip(self.sigma_a, self.sigma_sp, strict=True))
+        r, g, b = (WalkMedium(a, sp, self.eta, self.g) for a, sp in zip(self.sigma_a, self.sigma_sp, strict=True))
         return r, g, b
 
 
 def find_materials(
     given: str, *, channels: Names = ("R", "G", "B"), space: str | None = None, untrusted: bool = False
-) -> list[Material]:
+) -> list[ExportMaterial]:
     """The material of a published name, of a fit.json, of a session, or all those of a folder of them.
 
     `channels` stand for red, green and blue; `space`, where given, must be theirs; `untrusted` lets pass what a fit
@@ -71,7 +71,7 @@ def find_materials(
     return _told_apart([_material(each, read_fit(each), channels, space, untrusted, said) for each in fits])
 
 
-def _told_apart(materials: list[Material]) -> list[Material]:
+def _told_apart(materials: list[ExportMaterial]) -> list[ExportMaterial]:
     """The same with a number behind a name that another has already, so that none replaces another."""
     names: set[str] = set()
     for i, material in enumerate(materials):
@@ -92,14 +92,14 @@ def _also_published(given: str) -> tuple[str, ...]:
     return (f'"{given}" is a path here and a published material: the path was taken',)
 
 
-def _published(name: str, space: str | None) -> Material:
+def _published(name: str, space: str | None) -> ExportMaterial:
     line = find_material(name)
     if space not in (None, CAMERA):
         raise InputError(
             f"{line.name}: the published values are in the R, G, B of the paper's camera, not in {space}; "
             "leave out --space"
         )
-    return Material(
+    return ExportMaterial(
         line.name,
         table_source(),
         line.sigma_a_per_mm,
@@ -113,7 +113,7 @@ def _published(name: str, space: str | None) -> Material:
 
 def _material(
     path: Path, fit: Fit, names: Names, space: str | None, untrusted: bool, said: tuple[str, ...]
-) -> Material:
+) -> ExportMaterial:
     channels = [_channel(path, fit, name, untrusted) for name in names]
     own = fit.about.get("space")
     if space is not None and space != (own or CAMERA):
@@ -121,7 +121,7 @@ def _material(
             f"{path}: is in {own or CAMERA} RGB, not in {space}; run `bssrdf measure --space {space}` and fit again"
         )
     sigma_a = _rgb(max(channel.sigma_a_per_mm, 0.0) for channel in channels)
-    return Material(
+    return ExportMaterial(
         fit.material or path.parent.name or path.stem,
         str(path),
         sigma_a,

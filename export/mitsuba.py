@@ -11,9 +11,9 @@ from xml.sax.saxutils import quoteattr
 from scipy.optimize import brentq
 
 from bssrdf.export.loss import depth_for
-from bssrdf.export.material import Material
+from bssrdf.export.material import ExportMaterial
 from bssrdf.export.solved import Setting, depth_residuals, head
-from bssrdf.export.spread import Medium
+from bssrdf.export.spread import WalkMedium
 from bssrdf.export.text import comment, identifier, xml_comment
 from bssrdf.export.unit import coefficients, rounded
 from bssrdf.transport import CHANNELS, decay_constant
@@ -32,7 +32,7 @@ _USE_OURS = (
 )
 
 
-class Part(NamedTuple):
+class PluginPart(NamedTuple):
     """What one material needs: plugins by name, and what is said of them."""
 
     said: list[str]
@@ -40,7 +40,7 @@ class Part(NamedTuple):
     integrator: dict[str, Any]
 
 
-def mitsuba_xml(materials: Sequence[Material], setting: Setting) -> str:
+def mitsuba_xml(materials: Sequence[ExportMaterial], setting: Setting) -> str:
     """A scene with plugins alone, to be included by another."""
     parts = [_part(material, setting) for material in materials]
     lines = ['<?xml version="1.0" encoding="utf-8"?>', *(xml_comment(line) for line in _said(parts, setting))]
@@ -52,7 +52,7 @@ def mitsuba_xml(materials: Sequence[Material], setting: Setting) -> str:
     return "\n".join([*lines, "</scene>", ""])
 
 
-def mitsuba_dict(materials: Sequence[Material], setting: Setting) -> str:
+def mitsuba_dict(materials: Sequence[ExportMaterial], setting: Setting) -> str:
     """A Python module that defines PLUGINS and INTEGRATOR for `mitsuba.load_dict`."""
     parts = [_part(material, setting) for material in materials]
     plugins = {name: plugin for part in parts for name, plugin in part.plugins.items()}
@@ -63,20 +63,20 @@ def mitsuba_dict(materials: Sequence[Material], setting: Setting) -> str:
     )
 
 
-def _said(parts: Sequence[Part], setting: Setting) -> list[str]:
+def _said(parts: Sequence[PluginPart], setting: Setting) -> list[str]:
     use = _USE_VOLUME if setting.keep == "medium" else _USE_OURS
     return [line for part in parts for line in part.said] + list(use)
 
 
-def _deepest(parts: Sequence[Part]) -> dict[str, Any]:
+def _deepest(parts: Sequence[PluginPart]) -> dict[str, Any]:
     return max((part.integrator for part in parts), key=lambda integrator: integrator.get("max_depth", 0))
 
 
-def _part(material: Material, setting: Setting) -> Part:
+def _part(material: ExportMaterial, setting: Setting) -> PluginPart:
     return _volume(material, setting) if setting.keep == "medium" else _ours(material, setting)
 
 
-def _volume(material: Material, setting: Setting) -> Part:
+def _volume(material: ExportMaterial, setting: Setting) -> PluginPart:
     name, depth = identifier(material.name), depth_for(material.media, LOST, MOST_DEPTH)
     sigma_t = coefficients(tuple(m.sigma_s + m.sigma_a for m in material.media), setting.unit)
     scale = max(sigma_t)
@@ -90,10 +90,10 @@ def _volume(material: Material, setting: Setting) -> Part:
     surface = {"type": "dielectric", "int_ior": material.eta, "ext_ior": 1.0}
     integrator = {"type": "volpathmis", "max_depth": depth, "rr_depth": depth + 1}
     said = head(material, setting) + depth_residuals(material, depth)
-    return Part(said, {f"{name}-surface": surface, f"{name}-medium": medium}, integrator)
+    return PluginPart(said, {f"{name}-surface": surface, f"{name}-medium": medium}, integrator)
 
 
-def _ours(material: Material, setting: Setting) -> Part:
+def _ours(material: ExportMaterial, setting: Setting) -> PluginPart:
     matched = [dipole_like(medium) for medium in material.media]
     surface = {
         "type": "bssrdf_medium",
@@ -107,10 +107,10 @@ def _ours(material: Material, setting: Setting) -> Part:
         "these are the coefficients whose dipole and single scattering have the measured R and decay, not the medium's",
         f"residuals: R in {', '.join(CHANNELS)}: +0.0 +0.0 +0.0 %; R_d(r): the dipole's, far off near the light",
     ]
-    return Part(said, {f"{identifier(material.name)}-surface": surface}, {"type": "bssrdf"})
+    return PluginPart(said, {f"{identifier(material.name)}-surface": surface}, {"type": "bssrdf"})
 
 
-def dipole_like(medium: Medium) -> Medium:
+def dipole_like(medium: WalkMedium) -> WalkMedium:
     """The medium whose dipole and single scattering add up to the measured R and fall as the measured light far out."""
     from bssrdf.transport import first_order_total, scoped_x64
     from bssrdf.transport.dipole import Medium as DipoleMedium
@@ -132,7 +132,7 @@ def dipole_like(medium: Medium) -> Medium:
         return medium
     absorbed = math.exp(brentq(off, math.log(1e-9), math.log(1 - 1e-6), xtol=1e-10))
     sigma_tp = kappa / math.sqrt(3 * absorbed)
-    return Medium(absorbed * sigma_tp, (1 - absorbed) * sigma_tp, medium.eta, medium.g)
+    return WalkMedium(absorbed * sigma_tp, (1 - absorbed) * sigma_tp, medium.eta, medium.g)
 
 
 def rgb(values: Any) -> dict[str, Any]:

@@ -8,7 +8,7 @@ from typing import Any
 from bssrdf.errors import InputError
 from bssrdf.export.closure import Limits
 from bssrdf.export.inversions import van_de_hulst
-from bssrdf.export.material import CAMERA, Material
+from bssrdf.export.material import CAMERA, ExportMaterial
 from bssrdf.export.solved import Setting, closure_residuals, closures, head
 from bssrdf.export.text import one_line
 from bssrdf.export.unit import lengths, rounded
@@ -20,7 +20,7 @@ _UNKNOWN = (
 )
 
 
-def openpbr_inputs(material: Material, setting: Setting) -> tuple[list[str], dict[str, Any]]:
+def openpbr_inputs(material: ExportMaterial, setting: Setting) -> tuple[list[str], dict[str, Any]]:
     """What is said, and the inputs of `open_pbr_surface` by name: floats, and colours as lists."""
     bounded = closures(material, NO_LIMIT)
     walks = [closure.first for closure in bounded.closures]
@@ -42,7 +42,7 @@ def openpbr_inputs(material: Material, setting: Setting) -> tuple[list[str], dic
     }
 
 
-def openpbr_text(materials: Sequence[Material], setting: Setting) -> str:
+def openpbr_text(materials: Sequence[ExportMaterial], setting: Setting) -> str:
     """A MaterialX document, validated by MaterialX; InputError where its package is missing."""
     try:
         import MaterialX as mx
@@ -61,7 +61,7 @@ def openpbr_text(materials: Sequence[Material], setting: Setting) -> str:
     return str(mx.writeToXmlString(document))
 
 
-def _add(mx: Any, document: Any, material: Material, setting: Setting) -> None:
+def _add(mx: Any, document: Any, material: ExportMaterial, setting: Setting) -> None:
     said, inputs = openpbr_inputs(material, setting)
     name = document.createValidChildName(mx.createValidName(material.name) or "material")
     node = document.addNode("open_pbr_surface", f"{name}_surface", "surfaceshader")

@@ -5,20 +5,20 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 
 from bssrdf.export.loss import depth_for
-from bssrdf.export.material import Material
+from bssrdf.export.material import ExportMaterial
 from bssrdf.export.mitsuba import LOST, MOST_DEPTH
 from bssrdf.export.solved import Setting, depth_residuals, head
 from bssrdf.export.text import comment, quoted
 from bssrdf.export.unit import coefficients, lengths, rounded
 
 
-def pbrt_text(materials: Sequence[Material], setting: Setting) -> str:
+def pbrt_text(materials: Sequence[ExportMaterial], setting: Setting) -> str:
     """Named materials, and named media where the medium is kept, to be included in the world block."""
     build = _volume if setting.keep == "medium" else _subsurface
     return "\n\n".join("\n".join(build(material, setting)) for material in materials) + "\n"
 
 
-def _volume(material: Material, setting: Setting) -> list[str]:
+def _volume(material: ExportMaterial, setting: Setting) -> list[str]:
     depth = depth_for(material.media, LOST, MOST_DEPTH)
     name = quoted(material.name)
     said = [
@@ -37,7 +37,7 @@ def _volume(material: Material, setting: Setting) -> list[str]:
     ]
 
 
-def _subsurface(material: Material, setting: Setting) -> list[str]:
+def _subsurface(material: ExportMaterial, setting: Setting) -> list[str]:
     name = quoted(material.name)
     said = [
         *head(material, setting),

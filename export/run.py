@@ -9,7 +9,7 @@ from typing import Literal, NamedTuple
 
 from bssrdf.errors import UsageError
 from bssrdf.export.blender import blender_text
-from bssrdf.export.material import Material
+from bssrdf.export.material import ExportMaterial
 from bssrdf.export.mitsuba import mitsuba_dict, mitsuba_xml
 from bssrdf.export.openpbr import openpbr_text
 from bssrdf.export.pbrt import pbrt_text
@@ -43,7 +43,7 @@ RENDERERS: dict[Target, Renderer] = {
     "openpbr": Renderer("OpenPBR, in MaterialX 1.39,", "appearance", ("appearance",), "mm", ".mtlx", ((1, 1), (1, 1))),
     "usd": Renderer("OpenPBR, in OpenUSD,", "appearance", ("appearance",), "m", ".usda", ((1, 1), (1, 1))),
 }
-Writer = Callable[[Sequence[Material], Setting, Version | None], str]
+Writer = Callable[[Sequence[ExportMaterial], Setting, Version | None], str]
 WRITERS: dict[str, Writer] = {
     ".py": lambda materials, setting, version: blender_text(materials, setting, version),
     ".xml": lambda materials, setting, _: mitsuba_xml(materials, setting),
@@ -67,7 +67,7 @@ def read_version(target: Target, text: str | None) -> Version | None:
 
 
 def export_files(
-    materials: Sequence[Material],
+    materials: Sequence[ExportMaterial],
     target: Target,
     out: Path,
     *,
@@ -101,7 +101,7 @@ def export_files(
     ]
 
 
-def file_names(materials: Sequence[Material]) -> list[str]:
+def file_names(materials: Sequence[ExportMaterial]) -> list[str]:
     """A file name for each: letters and digits of its own, and a number where two are alike."""
     names: list[str] = []
     for material in materials:

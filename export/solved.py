@@ -9,7 +9,7 @@ import numpy as np
 import bssrdf
 from bssrdf.export.closure import DEPTHS, Closure, Limits, solve
 from bssrdf.export.loss import lost_share
-from bssrdf.export.material import CAMERA, Material
+from bssrdf.export.material import CAMERA, ExportMaterial
 from bssrdf.export.unit import Unit
 from bssrdf.transport import CHANNELS
 
@@ -43,13 +43,13 @@ class Bounded(NamedTuple):
     closures: Triple
 
 
-def closures(material: Material, limits: Limits) -> Bounded:
+def closures(material: ExportMaterial, limits: Limits) -> Bounded:
     """The closures of the three channels."""
     red, green, blue = (solve(medium, limits) for medium in material.media)
     return Bounded(limits, (red, green, blue))
 
 
-def head(material: Material, setting: Setting) -> list[str]:
+def head(material: ExportMaterial, setting: Setting) -> list[str]:
     """Lines that every file carries: what was kept, unit, colour space, η, version, remarks."""
     kept = {
         "appearance": "kept: appearance, that is the total R and a shadow's edge, by an index-matched random walk",
@@ -87,7 +87,7 @@ def closure_residuals(bounded: Bounded) -> list[str]:
     return lines
 
 
-def depth_residuals(material: Material, depth: int) -> list[str]:
+def depth_residuals(material: ExportMaterial, depth: int) -> list[str]:
     """What a volume renderer loses after `depth` scatterings."""
     lost = [-lost_share(medium, depth) for medium in material.media]
     return [

@@ -26,7 +26,7 @@ ALL_ORDERS_BELOW = 0.96
 """Albedo below which the table's orders are all the light: 0.96^256 is 3e-5."""
 
 
-class Medium(NamedTuple):
+class WalkMedium(NamedTuple):
     """A measured half space in one channel."""
 
     sigma_a: float
@@ -99,7 +99,7 @@ def added(parts: list[Spread]) -> Spread:
     return Spread(r[order], np.concatenate([part.share for part in parts])[order])
 
 
-def measured_spread(medium: Medium) -> Spread:
+def measured_spread(medium: WalkMedium) -> Spread:
     """Light of the measured medium by the Monte Carlo tables; a g below 0 as 0 at the same σs′."""
     _, q = shape_of(medium.sigma_a, medium.sigma_sp)
     table = table_of(table_model(medium.eta, place(medium.eta, max(medium.g, 0.0)).g))
@@ -112,7 +112,7 @@ def measured_spread(medium: Medium) -> Spread:
 def walk_spread(albedo: float, mfp_mm: float, bounces: int | None) -> Spread:
     """Light of an index-matched isotropic walk that is given up after so many bounces (at most 256), or never."""
     if bounces is None and albedo > ALL_ORDERS_BELOW:
-        return measured_spread(Medium((1 - albedo) / mfp_mm, albedo / mfp_mm, 1.0))
+        return measured_spread(WalkMedium((1 - albedo) / mfp_mm, albedo / mfp_mm, 1.0))
     n = np.arange(1, N_ORDERS + 1)
     by_bin = np.where(n <= (bounces or N_ORDERS), albedo**n, 0.0) @ orders()
     edges = rho_edges()

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from bssrdf.errors import InputError
-from bssrdf.export.material import CAMERA, Material
+from bssrdf.export.material import CAMERA, ExportMaterial
 from bssrdf.export.openpbr import openpbr_inputs
 from bssrdf.export.solved import Setting
 from bssrdf.export.text import one_line
@@ -16,7 +16,7 @@ SHADER = "ND_open_pbr_surface_surfaceshader"
 _SPACES = {"lin_rec709": "lin_rec709_scene", "acescg": "lin_ap1_scene"}
 
 
-def usd_text(materials: Sequence[Material], setting: Setting) -> str:
+def usd_text(materials: Sequence[ExportMaterial], setting: Setting) -> str:
     """A stage of materials as USDA; InputError where OpenUSD is missing."""
     try:
         from pxr import Usd, UsdGeom
@@ -31,7 +31,7 @@ def usd_text(materials: Sequence[Material], setting: Setting) -> str:
     return str(stage.ExportToString())
 
 
-def _add(stage: Any, material: Material, setting: Setting) -> None:
+def _add(stage: Any, material: ExportMaterial, setting: Setting) -> None:
     from pxr import Gf, Sdf, Tf, UsdShade
 
     said, inputs = openpbr_inputs(material, setting)

@@ -38,7 +38,7 @@ def _stencil(radial: int, angular: int) -> tuple[Any, Any, Any]:
 _NEAR_SPOT, _FAR_SPOT = _stencil(6, 8), _stencil(3, 4)
 
 
-class Nodes(NamedTuple):
+class QuadratureNodes(NamedTuple):
     """Radii at which the model is looked at [mm], and their weights in the mean over an annulus, by r dr."""
 
     r: Any
@@ -55,11 +55,11 @@ class Seen(NamedTuple):
     q: Any
 
 
-def nodes(e: Engine, sight: Sight, c: Curves) -> Nodes:
+def nodes(e: Engine, sight: Sight, c: Curves) -> QuadratureNodes:
     """Twelve a wide annulus, in ln r or from 0 in r, and three a narrow one."""
     xp = e.xp
     if not sight.binned:
-        return Nodes(c.r_lo, xp.ones_like(c.r_lo))
+        return QuadratureNodes(c.r_lo, xp.ones_like(c.r_lo))
     b, k = c.r_lo.shape[0], sight.inner
     lo, hi = c.r_lo[:, :k, None], c.r_hi[:, :k, None]
     t = (1 + xp.asarray(_FINE[0])) / 2
@@ -73,10 +73,10 @@ def nodes(e: Engine, sight: Sight, c: Curves) -> Nodes:
     far_weight = xp.asarray(_COARSE[1]) * far
     weight, far_weight = (each / xp.maximum(each.sum(2, keepdims=True), 1e-300) for each in (weight, far_weight))
     join = lambda near, rest: xp.concatenate([near.reshape(b, -1), rest.reshape(b, -1)], axis=1)  # noqa: E731
-    return Nodes(join(r, far), join(weight, far_weight))
+    return QuadratureNodes(join(r, far), join(weight, far_weight))
 
 
-def averaged(e: Engine, sight: Sight, at: Nodes, look: Look) -> Look:
+def averaged(e: Engine, sight: Sight, at: QuadratureNodes, look: Look) -> Look:
     """The means over the annuli of what was seen at the nodes."""
     if not sight.binned:
         return look

@@ -17,7 +17,7 @@ from bssrdf.fit.finite import TOTAL_OFF, Errors, Sampled, curve_off, further, q_
 from bssrdf.fit.layout import Curves, Sight, Total
 from bssrdf.fit.observe import (
     NEAREST_MFP,
-    Nodes,
+    QuadratureNodes,
     Seen,
     averaged,
     exit_modes,
@@ -127,7 +127,7 @@ class Point(NamedTuple):
 class Laid(NamedTuple):
     """What costs more than a look and moves little: worked out at a point, used near it. By slice."""
 
-    nodes: tuple[Nodes, ...]
+    nodes: tuple[QuadratureNodes, ...]
     seen: tuple[Seen, ...]
     responses: tuple[Any, ...]
     """(b, K, u): of ln of the curve to one sd of each shared error."""
@@ -182,7 +182,13 @@ Neighbours = Mapping[str, tuple[Light, float]]
 
 
 def lay(
-    e: Engine, plan: Plan, model: Light, data: Problem, at: Point, beside: Neighbours, grid: tuple[Nodes, ...] = ()
+    e: Engine,
+    plan: Plan,
+    model: Light,
+    data: Problem,
+    at: Point,
+    beside: Neighbours,
+    grid: tuple[QuadratureNodes, ...] = (),
 ) -> Laid:
     """Exit law, spot and shared responses at a point; `grid` where it was made before, since no point moves it."""
     sights = list(zip(plan.sights, data.curves, strict=True))

@@ -13,20 +13,20 @@ import pytest
 
 from bssrdf.export.blender import LIMITS, blender_text
 from bssrdf.export.bounce_walk import N_RHO, bounce_walk, make_table, orders, rho_edges
-from bssrdf.export.closure import DEPTHS, Limits, Walk, mismatch, solve
+from bssrdf.export.closure import DEPTHS, Limits, MatchedWalk, mismatch, solve
 from bssrdf.export.inversions import van_de_hulst, wrenninge
 from bssrdf.export.loss import lost_share
-from bssrdf.export.material import Material, find_materials
+from bssrdf.export.material import ExportMaterial, find_materials
 from bssrdf.export.mitsuba import dipole_like
 from bssrdf.export.solved import Setting
-from bssrdf.export.spread import Medium, measured_spread, walk_spread
+from bssrdf.export.spread import WalkMedium, measured_spread, walk_spread
 from bssrdf.transport.discrete_ordinates import half_space
 from bssrdf.transport.engine import MonteCarloMedium, Tally, simulate
 from bssrdf.transport.materials import load_materials
 from bssrdf.transport.photon import stream_states
 
 ONE = np.array([1.0])
-MARBLE_G = Medium(0.0041, 2.62, 1.5)
+MARBLE_G = WalkMedium(0.0041, 2.62, 1.5)
 
 
 def albedo_of_new_rule(colour: float) -> float:
@@ -131,13 +131,13 @@ def test_renderers_read_back_the_albedo_that_a_colour_stands_for(albedo: float) 
 def test_walks_of_all_published_materials_have_the_measured_total(exported: Any, version: str) -> None:
     for name, line in load_materials().items():
         for i, channel in enumerate("RGB"):
-            medium = Medium(line.sigma_a_per_mm[i], line.sigma_sp_per_mm[i], line.eta)
+            medium = WalkMedium(line.sigma_a_per_mm[i], line.sigma_sp_per_mm[i], line.eta)
             seen = Followed(walks_in(exported[name], version, i, 1000.0), 20_000, seed=11 + i)
             assert abs(seen.total / medium.total - 1) < 0.01 + 3 * seen.total_se / medium.total, (name, channel)
 
 
 @functools.cache
-def simulated(medium: Medium) -> Tally:
+def simulated(medium: WalkMedium) -> Tally:
     """The measured medium, photon by photon."""
     edges = np.append(np.concatenate([[0.0], np.geomspace(0.01, 30, 150)]) / medium.sigma_tr, 1e4)
     walked = MonteCarloMedium.reduced(medium.sigma_a, medium.sigma_sp, medium.g, medium.eta)
@@ -182,7 +182,7 @@ def test_limits_of_the_renderer_are_allowed_for() -> None:
 
 def test_second_walk_is_there_only_where_one_cannot_do_it() -> None:
     assert solve(MARBLE_G, LIMITS).second is None
-    white = Medium(0.0, 11.6, 1.3)
+    white = WalkMedium(0.0, 11.6, 1.3)
     one, two = solve(white, LIMITS._replace(second=False)), solve(white, LIMITS)
     assert one.light.total < 0.91
     assert two.light.total == pytest.approx(1.0, abs=1e-3)
@@ -198,7 +198,7 @@ def test_every_published_edge_is_within_what_docs_say() -> None:
 
 
 def test_lengths_scale_with_the_medium() -> None:
-    once, twice = solve(MARBLE_G, LIMITS), solve(Medium(0.0082, 5.24, 1.5), LIMITS)
+    once, twice = solve(MARBLE_G, LIMITS), solve(WalkMedium(0.0082, 5.24, 1.5), LIMITS)
     assert once.first.mfp_mm == pytest.approx(2 * twice.first.mfp_mm, rel=1e-3)
     assert once.first.albedo == pytest.approx(twice.first.albedo, abs=1e-7)
 
@@ -212,18 +212,18 @@ def test_light_beyond_the_edge_and_before_it_are_all_light() -> None:
 
 def test_walk_below_the_least_albedo_is_dimmed_in_proportion() -> None:
     limits = Limits(bounces=256, least_albedo=0.2)
-    assert Walk(0.05, 1.0).spread(limits).total == pytest.approx(walk_spread(0.2, 1.0, 256).total / 4)
+    assert MatchedWalk(0.05, 1.0).spread(limits).total == pytest.approx(walk_spread(0.2, 1.0, 256).total / 4)
 
 
 @pytest.mark.parametrize("depth", [64, 128, 256])
 def test_share_lost_after_many_bounces_is_that_of_the_orders(depth: int) -> None:
-    medium = Medium(0.002, 0.998, 1.0)
+    medium = WalkMedium(0.002, 0.998, 1.0)
     kept = (0.998 ** np.arange(1, depth + 1)) @ orders()[:depth].sum(1)
     assert lost_share(medium, depth) == pytest.approx(1 - kept / medium.total, abs=0.004)
 
 
 def test_dipole_of_our_own_integrator_adds_up_to_the_measured_total() -> None:
-    from bssrdf.transport.dipole import Medium as Dipole
+    from bssrdf.transport.dipole import WalkMedium as Dipole
     from bssrdf.transport.dipole import total_r
     from bssrdf.transport.single import first_order_total
 
@@ -236,12 +236,12 @@ def test_dipole_of_our_own_integrator_adds_up_to_the_measured_total() -> None:
 
 def test_forward_scattering_is_taken_into_the_walk() -> None:
     """At one σs′ the total depends on g: the walk follows the medium's own."""
-    isotropic, forward = Medium(0.17, 0.88, 1.3), Medium(0.17, 0.88, 1.3, 0.8)
+    isotropic, forward = WalkMedium(0.17, 0.88, 1.3), WalkMedium(0.17, 0.88, 1.3, 0.8)
     assert forward.total < 0.95 * isotropic.total
     assert solve(forward, LIMITS).light.total == pytest.approx(forward.total, abs=1e-6)
 
 
-def marble() -> Material:
+def marble() -> ExportMaterial:
     return find_materials("Marble")[0]
 
 

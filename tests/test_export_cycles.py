@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from bssrdf.bench.export import Effort, run_export_bench
-from bssrdf.bench.export_results import Point, table
+from bssrdf.bench.export import RenderEffort, run_export_bench
+from bssrdf.bench.export_results import EdgePoint, table
 from bssrdf.errors import InputError
 
 KEPT = Path(__file__).resolve().parents[1] / "docs" / "export.json"
@@ -18,11 +18,11 @@ PYTHONS = [Path(path) for path in os.environ.get("BSSRDF_BPY", "").split(os.path
 """Pythons with bpy, one of Blender 5.2 or later and one of an earlier version, for the slow test."""
 
 
-def kept() -> list[Point]:
-    return [Point(**point) for point in json.loads(KEPT.read_text(encoding="utf-8"))["points"]]
+def kept() -> list[EdgePoint]:
+    return [EdgePoint(**point) for point in json.loads(KEPT.read_text(encoding="utf-8"))["points"]]
 
 
-def check(points: list[Point]) -> None:
+def check(points: list[EdgePoint]) -> None:
     """Totals within 1 % and two standard errors, but for 4 cells those of the measured medium; edges within 3 and 12 %.
 
     Of many points one in twenty lies beyond two standard errors, and hardly one beyond four.
@@ -68,7 +68,7 @@ def test_a_python_without_bpy_is_named(tmp_path: Path) -> None:
     python.write_text("#!/bin/sh\necho 'No module named bpy' >&2\nexit 1\n")
     python.chmod(0o755)
     with pytest.raises(InputError, match=r"No module named bpy.*is bpy installed"):
-        run_export_bench(None, [python], effort=Effort(materials=("Ketchup",), edges=()))
+        run_export_bench(None, [python], effort=RenderEffort(materials=("Ketchup",), edges=()))
 
 
 @pytest.mark.slow

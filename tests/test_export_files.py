@@ -16,7 +16,7 @@ import pytest
 from bssrdf.export.blender import LIMITS, blender_text
 from bssrdf.export.closure import Limits, solve
 from bssrdf.export.inversions import van_de_hulst
-from bssrdf.export.material import Material, find_materials
+from bssrdf.export.material import ExportMaterial, find_materials
 from bssrdf.export.mitsuba import dipole_like, mitsuba_dict, mitsuba_xml
 from bssrdf.export.openpbr import openpbr_text
 from bssrdf.export.pbrt import pbrt_text
@@ -91,13 +91,13 @@ def colour_of(element: ElementTree.Element, name: str) -> np.ndarray:
     return np.array([float(number) for number in str(found.get("value")).split(",")])
 
 
-def sigma_s(material: Material) -> np.ndarray:
+def sigma_s(material: ExportMaterial) -> np.ndarray:
     return np.array([medium.sigma_s for medium in material.media])
 
 
 @pytest.mark.parametrize("unit", UNITS)
 @pytest.mark.parametrize("material", [MARBLE, SKIN], ids=["marble", "forward"])
-def test_blender_volume_holds_the_coefficients(material: Material, unit: Unit) -> None:
+def test_blender_volume_holds_the_coefficients(material: ExportMaterial, unit: Unit) -> None:
     held = assigned(blender_text([material], medium_setting(unit)))
     (numbers,) = held["MATERIALS"]
     np.testing.assert_allclose(numbers["sigma_a"], np.array(material.sigma_a) * MM[unit], rtol=1e-8)
@@ -126,7 +126,7 @@ def test_blender_file_holds_the_rule_of_the_version(version: tuple[int, int] | N
 
 @pytest.mark.parametrize("unit", UNITS)
 @pytest.mark.parametrize("material", [MARBLE, SKIN], ids=["marble", "forward"])
-def test_mitsuba_medium_multiplies_out_to_the_coefficients(material: Material, unit: Unit) -> None:
+def test_mitsuba_medium_multiplies_out_to_the_coefficients(material: ExportMaterial, unit: Unit) -> None:
     plugins = xml_plugins(mitsuba_xml([material], medium_setting(unit)))
     medium, surface = plugins[f"{material.name}-medium"], plugins[f"{material.name}-surface"]
     sigma_t = colour_of(medium, "sigma_t")
@@ -164,7 +164,7 @@ def test_mitsuba_loads_what_was_written(name: str, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("unit", UNITS)
 @pytest.mark.parametrize("material", [MARBLE, SKIN], ids=["marble", "forward"])
-def test_pbrt_medium_holds_the_coefficients(material: Material, unit: Unit) -> None:
+def test_pbrt_medium_holds_the_coefficients(material: ExportMaterial, unit: Unit) -> None:
     medium, surface = pbrt_statements(pbrt_text([material], medium_setting(unit)))
     np.testing.assert_allclose(medium[2]["sigma_a"], np.array(material.sigma_a) * MM[unit], rtol=1e-8)
     np.testing.assert_allclose(medium[2]["sigma_s"], sigma_s(material) * MM[unit], rtol=1e-8)
@@ -252,7 +252,7 @@ def test_no_name_breaks_a_document(name: str) -> None:
 
 
 def test_a_library_holds_all_its_materials() -> None:
-    several: Sequence[Material] = [find_materials(name)[0] for name in ("Marble", "Skin1", "Ketchup")]
+    several: Sequence[ExportMaterial] = [find_materials(name)[0] for name in ("Marble", "Skin1", "Ketchup")]
     assert len(assigned(blender_text(several, medium_setting("mm")))["MATERIALS"]) == 3
     assert len(xml_plugins(mitsuba_xml(several, medium_setting("mm")))) == 7
     assert len(pbrt_statements(pbrt_text(several, medium_setting("mm")))) == 6
