@@ -199,8 +199,8 @@ ERRORS = (
     Mutant(
         "(a) a length error forgets R_d's 1/mm²",
         "fit/terms.py",
-        "response = sds.length * _relative(xp, looks[k][1], looks[k][0])",
-        "response = sds.length * (_relative(xp, looks[k][1], looks[k][0]) - 2)",
+        "response = _relative(xp, looks[k][1], looks[k][0])",
+        "response = _relative(xp, looks[k][1], looks[k][0]) - 2",
         ("fit::a_length_error_moves_both", "fit_budget::a_share_of_the_budget"),
     ),
     Mutant(
