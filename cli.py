@@ -7,7 +7,7 @@ import sys
 import click
 
 from bssrdf import __version__
-from bssrdf.commands.batch import convert
+from bssrdf.commands.batch import batch, convert
 from bssrdf.commands.bench import bench, demo
 from bssrdf.commands.calibrate import calibrate
 from bssrdf.commands.console import Group, run
@@ -21,6 +21,7 @@ from bssrdf.commands.rig import capture, rig
 from bssrdf.commands.sessions import ingest, init, verify
 
 COMMANDS = (
+    batch,
     bench,
     calibrate,
     capture,

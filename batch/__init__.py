@@ -17,5 +17,12 @@ if TYPE_CHECKING:
     from bssrdf.batch.fit_steps import stale as stale
     from bssrdf.batch.fit_steps import validate_fit as validate_fit
     from bssrdf.batch.fits_parquet import read_fits_of as read_fits_of
+    from bssrdf.batch.inputs import STAGES as STAGES
+    from bssrdf.batch.run import run_batch as run_batch
+    from bssrdf.batch.slices_parquet import Named as Named
+    from bssrdf.batch.slices_parquet import read_slices as read_slices
+    from bssrdf.batch.slices_parquet import write_slices as write_slices
+    from bssrdf.batch.stages import StageOptions as StageOptions
+    from bssrdf.batch.tables import sample_on as sample_on
 else:
     __getattr__, __dir__, __all__ = door(__name__, __file__)

@@ -33,7 +33,17 @@ from bssrdf.errors import InputError
 from bssrdf.session.checks import shown
 from bssrdf.session.keys import checked_keys, keys_of
 from bssrdf.session.records import ChannelSlice, Slice
-from bssrdf.session.slice_checks import COLUMNS, NEEDED, Places, check_curve, check_size, check_values
+from bssrdf.session.slice_checks import (
+    COLUMNS,
+    LEAST,
+    MAY_BE_EMPTY,
+    MOST,
+    NEEDED,
+    Places,
+    check_curve,
+    check_size,
+    check_values,
+)
 from bssrdf.session.slice_csv import overridden, slice_of
 
 if TYPE_CHECKING:
@@ -168,6 +178,8 @@ class _Lists(NamedTuple):
     values: NDArray[Any]
     starts: list[int]
     there: list[bool]
+    sound: bool
+    """Whether no value of any row is of a size that must be refused."""
 
     def of(self, row: int) -> NDArray[Any] | None:
         return self.values[self.starts[row] : self.starts[row + 1]] if self.there[row] else None
@@ -217,7 +229,10 @@ def _unpacked(path: Path, name: str, column: Any) -> _Lists:
     pa = arrow()
     whole = pa.concat_arrays(cast(path, name, column, pa.list_(_number(name))).chunks)
     values = whole.values.to_numpy(zero_copy_only=False)
-    return _Lists(values, whole.offsets.to_pylist(), whole.is_valid().to_pylist())
+    size = np.abs(values)
+    odd = ~((size >= LEAST) & (size <= MOST) | (size == 0))
+    sound = not (odd & ~np.isnan(size)).any() if name in MAY_BE_EMPTY else not odd.any()
+    return _Lists(values, whole.offsets.to_pylist(), whole.is_valid().to_pylist(), sound)
 
 
 def _slice(where: str, rows: _Rows, here: range, given: Mapping[str, Any]) -> Slice:
@@ -226,7 +241,8 @@ def _slice(where: str, rows: _Rows, here: range, given: Mapping[str, Any]) -> Sl
         name = rows.channels[row]
         if not name or name in channels:
             raise InputError(f"{where}: channel {shown(name)} must be a name that no other row of the slice has")
-        channels[name] = _channel(where, name, {key: each.of(row) for key, each in rows.lists.items()})
+        arrays = {key: each.of(row) for key, each in rows.lists.items()}
+        channels[name] = _channel(where, name, arrays, [key for key, each in rows.lists.items() if not each.sound])
     raw = {key: _value(where, key, values, rows, here) for key, values in rows.keys.items()}
     stated = {key: each for key, each in raw.items() if each not in (None, {}, [])}
     return slice_of(where, channels, overridden(stated, given, channels))
@@ -247,7 +263,7 @@ def _value(where: str, key: str, values: list[Any], rows: _Rows, here: range) ->
     return first
 
 
-def _channel(where: str, name: str, arrays: Mapping[str, NDArray[Any] | None]) -> ChannelSlice:
+def _channel(where: str, name: str, arrays: Mapping[str, NDArray[Any] | None], doubtful: Sequence[str]) -> ChannelSlice:
     where = f"{where}: channel {name}"
     columns = {key: each for key, each in arrays.items() if each is not None}
     for key in NEEDED:
@@ -260,8 +276,9 @@ def _channel(where: str, name: str, arrays: Mapping[str, NDArray[Any] | None]) -
     if not count:
         raise InputError(f"{where}: has no radius; take the row out")
     places = Places(where, np.arange(1, count + 1), "value")
-    for key, each in columns.items():
-        check_size(key, each, each, places)
+    for key in doubtful:
+        if key in columns:
+            check_size(key, columns[key], columns[key], places)
     check_values(columns, places)
     part = ChannelSlice(**columns)
     check_curve(name, part, places)

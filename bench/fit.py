@@ -62,7 +62,7 @@ def run_fit_bench(
     *, out: Path | None = None, progress: Callable[[str, int, int], None] | None = None, batch: int = BATCH
 ) -> list[FitScore]:
     """Run every method; with `out` also write fit.json and fit.png there."""
-    problem, sigma_a, sigma_sp = _problem(batch)
+    problem, sigma_a, sigma_sp = noisy_curves(batch)
     few = _first(problem, SLOW)
     ratio = np.asarray(absorption_ratio(jnp.asarray(few.total_r), ETA))
     steps: dict[str, Callable[[], PeerFit]] = {
@@ -112,7 +112,7 @@ def table(scores: list[FitScore]) -> str:
     return "\n".join(lines)
 
 
-def _problem(batch: int) -> tuple[PeerProblem, np.ndarray, np.ndarray]:
+def noisy_curves(batch: int) -> tuple[PeerProblem, np.ndarray, np.ndarray]:
     """Curves with noise, and the coefficients that they were made from."""
     cells = [
         material.medium(channel)

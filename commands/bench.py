@@ -192,6 +192,41 @@ def export(out: Path | None, force: bool, pythons: tuple[Path, ...], materials: 
     click.echo(table(points, skipped))
 
 
+@bench.command()
+@OUT
+@force_option
+@click.option("--slices", "sizes", type=click.IntRange(1), multiple=True, help="In a Parquet file; may be given again.")
+@click.option("--files", type=click.IntRange(1), default=300, show_default=True, help="slice.csv files of a batch.")
+@click.option("--workers", type=click.IntRange(1), multiple=True, help="Of a batch; may be given again.")
+def scale(out: Path | None, force: bool, sizes: tuple[int, ...], files: int, workers: tuple[int, ...]) -> None:
+    """Curves in bulk by the size of the file, and batches by workers: time, memory, efficiency."""
+    from bssrdf.bench.scale import SIZES, WORKERS, run_scale_bench, table
+    from bssrdf.report import steps
+
+    with steps(quiet=is_quiet()) as progress:
+        scores = run_scale_bench(
+            out=out and fresh(out, force),
+            sizes=sizes or SIZES,
+            files=files,
+            workers=workers or WORKERS,
+            progress=progress,
+        )
+    click.echo(table(scores))
+
+
+@bench.command()
+@click.option("--cluster", default="local:2", show_default=True, help="As for `batch`.")
+@click.option("--core-seconds", type=click.FloatRange(min=0, min_open=True), default=60.0, show_default=True)
+def tables(cluster: str, core_seconds: float) -> None:
+    """Walk the samples of a Monte Carlo table in one process and on a cluster: time, and whether the bits agree."""
+    from bssrdf.bench.scale import run_tables_bench
+    from bssrdf.report import steps
+
+    with steps(quiet=is_quiet()) as progress:
+        result = run_tables_bench(cluster, core_seconds, progress=progress)
+    click.echo(json.dumps(result, indent=1))
+
+
 @click.command(cls=Command)
 @click.option("--out", type=FOLDER, default=Path("demo"), show_default=True, help="Folder for sessions and table.")
 @click.option("--seed", type=int, default=2001, show_default=True, help="Draws the errors of scale and tile.")

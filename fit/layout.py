@@ -189,7 +189,7 @@ def _window(piece: Slice, window_mm: tuple[float, float] | None) -> tuple[float,
     return max(lo, RADII_FROM_SPOT * (piece.spot_radius_mm or 0.0), band / 2), min(hi, held(piece).reach)
 
 
-class Nodes(NamedTuple):
+class NodeCounts(NamedTuple):
     """What each row of a batch asks for by itself, (b,) each: see the fields of `Sight`."""
 
     blurred: NDArray[np.bool_]
@@ -197,11 +197,11 @@ class Nodes(NamedTuple):
     blur_inner: NDArray[np.int_]
 
 
-def nodes_of(curves: Curves) -> Nodes:
+def nodes_of(curves: Curves) -> NodeCounts:
     """How finely each row's radii are averaged, whatever the rows beside it."""
     there = (curves.known != 0).any(axis=2)
     middle = (curves.r_lo + curves.r_hi) / 2
-    return Nodes(
+    return NodeCounts(
         _spot_is_seen(curves),
         _last(there & (curves.r_hi > WIDE * curves.r_lo)),
         _last(there & (middle < BLUR_REACH * curves.spot_radius)),

@@ -53,9 +53,10 @@ def measure_session(
     band_mm: float | None = None,
     hdr_rel_sd: float | None = None,
     space: Space | None = None,
+    out: Path | None = None,
     progress: Progress | None = None,
 ) -> Measured:
-    """Measure the session and write its folder `measured/`, replaced as a whole.
+    """Measure the session and write its folder `measured/`, or `out` in its place, replaced as a whole.
 
     With `hdr_only` only the images are made, and only [camera] is needed; with `from_hdr` those that an earlier run
     wrote are used, and no frame is read; with `radial` the curve comes from the whole image, not from the slice, whose
@@ -85,9 +86,9 @@ def measure_session(
         curve = in_space(curve, session, space) if space else curve
     measured = Measured(merged.images, merged.provenance, curve)
     if from_hdr:
-        _write_curve(session.path / "measured", session, images, measured)
+        _write_curve(out or session.path / "measured", session, images, measured)
     else:
-        with replace_folder(session.path / "measured") as folder:
+        with replace_folder(out or session.path / "measured") as folder:
             merged.write(folder)
             _write_curve(folder, session, images, measured)
     return measured

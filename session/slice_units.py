@@ -79,11 +79,14 @@ def doubt(curve: Slice) -> str | None:
 
 def _light(part: ChannelSlice) -> tuple[float, float]:
     """∫ 2πr R_d dr over the radii, and that with R_d going on to r = 0 and outwards as e^(−kr)/r."""
-    order = np.argsort(part.r_mm, kind="stable")
-    r, first, counts = np.unique(part.r_mm[order], return_index=True, return_counts=True)
+    r, rd = part.r_mm, part.rd_per_mm2
+    if not (r[1:] > r[:-1]).all():
+        order = np.argsort(r, kind="stable")
+        r, first, counts = np.unique(r[order], return_index=True, return_counts=True)
+        rd = np.add.reduceat(rd[order], first) / counts
     if r.size < 4:
         return 0.0, math.inf
-    flux = 2 * math.pi * r * np.abs(np.add.reduceat(part.rd_per_mm2[order], first) / counts)
+    flux = 2 * math.pi * r * np.abs(rd)
     inside = float(np.trapezoid(flux, r))
     rising, falling = _decay(r[:4], flux[:4]), _decay(r[-4:], flux[-4:])
     nearer = float(flux[0] * np.expm1(min(rising * r[0], 50.0)) / rising) if rising else float(flux[0] * r[0])

@@ -32,7 +32,11 @@ if TYPE_CHECKING:
     from bssrdf.transport.white.grid import R_MAX as R_MAX
     from bssrdf.transport.white.grid import R_ZERO as R_ZERO
     from bssrdf.transport.white.grid import V_MAX as V_MAX
+    from bssrdf.transport.white.samples import N_BATCHES as N_BATCHES
     from bssrdf.transport.white.samples import WhiteSamples as WhiteSamples
+    from bssrdf.transport.white.samples import batches as batches
+    from bssrdf.transport.white.samples import merged as merged
+    from bssrdf.transport.white.samples import photons_per_batch as photons_per_batch
     from bssrdf.transport.white.samples import sample as sample
     from bssrdf.transport.white.smooth import fit_tables as fit_tables
     from bssrdf.transport.white.store import Policy as Policy

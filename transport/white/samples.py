@@ -9,6 +9,7 @@ from __future__ import annotations
 import functools
 import threading
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -36,6 +37,8 @@ FOLLOW = 0.7
 FOLLOW_CONSERVATIVE = 0.35
 """Share of the decay constant that the weights follow outwards; where the first albedo is 1, of the last one's."""
 N_BATCHES = 32
+Scores = tuple[Floats, Floats, Floats, Floats, float]
+"""Curve, angles, across and totals of one batch of one group, and its processor time [s]."""
 PILOT_PHOTONS = 2000
 
 
@@ -77,9 +80,7 @@ class Walk:
         first, last = GROUPS[self.group]
         return q_nodes()[first:last]
 
-    def batch(
-        self, seed: int, index: int, n_photons: int, stop: threading.Event
-    ) -> tuple[Floats, Floats, Floats, Floats, float] | None:
+    def batch(self, seed: int, index: int, n_photons: int, stop: threading.Event) -> Scores | None:
         """Scores of one stream per photon, and its processor time; None if stopped before its end."""
         albedos = albedo_of(self.q, self.g)
         kappas = np.array([decay_constant(albedo, self.g) for albedo in albedos])
@@ -156,26 +157,52 @@ def sample(
     An oblique `beam` takes one index, which bends it. A Ctrl-C raises KeyboardInterrupt: a table from a part would
     lack whole ranges of albedo.
     """
-    share = core_seconds / len(GROUPS) / N_BATCHES
-    per_batch = np.maximum(1, share / seconds_per_photon(g, etas, seed)).astype(np.int64)
+    per_batch = photons_per_batch(g, etas, core_seconds, seed)
     stop = threading.Event()
     tasks = [
-        functools.partial(Walk(g, etas, group, beam).batch, seed, 2 + index, int(per_batch[group]), stop)
+        functools.partial(batches, g, etas, per_batch, index, seed=seed, beam=beam, stop=stop)
         for index in range(N_BATCHES)
-        for group in range(len(GROUPS))
     ]
     done, interrupted = run_all(tasks, stop, n_threads, progress)
     if interrupted:
         raise KeyboardInterrupt
-    by_kind = [
-        [np.stack([done[i][kind] for i in range(group, len(done), len(GROUPS))]) for group in range(len(GROUPS))]
-        for kind in range(4)
-    ]
+    return merged(g, etas, per_batch, done)
+
+
+def photons_per_batch(g: float, etas: Floats, core_seconds: float, seed: int) -> NDArray[np.int64]:
+    """Photons of each group in one of N_BATCHES that together take about `core_seconds`."""
+    share = core_seconds / len(GROUPS) / N_BATCHES
+    return np.maximum(1, share / seconds_per_photon(g, etas, seed)).astype(np.int64)
+
+
+def batches(
+    g: float,
+    etas: Floats,
+    per_batch: NDArray[np.int64],
+    index: int,
+    *,
+    seed: int,
+    beam: Incidence = NORMAL,
+    stop: threading.Event | None = None,
+) -> list[Scores] | None:
+    """The scores of each group in batch `index`, the same on whatever machine; None if stopped before the end."""
+    done = []
+    for group in range(len(GROUPS)):
+        scores = Walk(g, etas, group, beam).batch(seed, 2 + index, int(per_batch[group]), stop or threading.Event())
+        if scores is None:
+            return None
+        done.append(scores)
+    return done
+
+
+def merged(g: float, etas: Floats, per_batch: NDArray[np.int64], done: Sequence[list[Scores]]) -> WhiteSamples:
+    """Means and standard errors over the batches, which stand in order of their index."""
+    by_kind = [[np.stack([each[group][kind] for each in done]) for group in range(len(GROUPS))] for kind in range(4)]
     curve, angles, across, totals = (
         np.concatenate([np.moveaxis(group, (2, 3), (1, 2)) for group in kind], axis=2) for kind in by_kind
     )
     error = functools.partial(np.std, axis=0, ddof=1)
-    root = np.sqrt(N_BATCHES)
+    root = np.sqrt(len(done))
     return WhiteSamples(
         g,
         np.asarray(etas, dtype=float),
@@ -187,6 +214,6 @@ def sample(
         error(across) / root,
         totals.mean(0),
         error(totals) / root,
-        per_batch * N_BATCHES,
-        float(sum(result[-1] for result in done)),
+        per_batch * len(done),
+        float(sum(scores[-1] for each in done for scores in each)),
     )
