@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from bssrdf.api import read_slice as read_slice
     from bssrdf.errors import BssrdfError as BssrdfError
     from bssrdf.errors import InputError as InputError
-    from bssrdf.session.slice_csv import write_slice as write_slice
+    from bssrdf.session import write_slice as write_slice
     from bssrdf.transport import load_materials as load_materials
 
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Literal, get_args, get_origin
 import numpy as np
 
 from bssrdf.errors import InputError, UsageError
-from bssrdf.session.atomic import atomic_write
+from bssrdf.session import atomic_write
 from bssrdf.session.checks import known_keys, shown
 from bssrdf.session.keys import Declared
 from bssrdf.session.text_file import FORMAT

@@ -12,9 +12,7 @@ from bssrdf.batch.fit_steps import slice_file
 from bssrdf.batch.fits_parquet import NamedFit, read_fits_of, write_fits
 from bssrdf.batch.slices_parquet import Named, read_slices, write_slices
 from bssrdf.errors import BssrdfError, InputError, UsageError
-from bssrdf.session.atomic import inside, make_folder, sha256_of
-from bssrdf.session.fit_json import read_fit, write_fit
-from bssrdf.session.slice_csv import read_slice, write_slice
+from bssrdf.session import inside, make_folder, read_fit, read_slice, sha256_of, write_fit, write_slice
 
 TOGETHER = 1024
 """Files that become rows of one group."""

@@ -13,8 +13,8 @@ from bssrdf.batch.fits_parquet import NamedFit, write_fits
 from bssrdf.batch.slices_parquet import Named, count_curves, read_slices
 from bssrdf.errors import BssrdfError, InputError
 from bssrdf.fit import SILENT, FitOptions, Making
+from bssrdf.session import doubt
 from bssrdf.session.records import Slice
-from bssrdf.session.slice_units import doubt
 
 CURVES = 6144
 """That are fitted together: 24 batches of the fit, so that few rows are left over where kinds are mixed."""

@@ -10,13 +10,9 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import bssrdf
 from bssrdf.errors import BssrdfError, InputError
 from bssrdf.fit import SILENT, FitOptions, Making, fit_g, fit_joint, fit_slices
-from bssrdf.session.atomic import atomic_write, sha256_of
-from bssrdf.session.fit_json import read_fit, write_fit
+from bssrdf.session import HEADER, about, atomic_write, doubt, read_fit, read_session, read_slice, sha256_of, write_fit
 from bssrdf.session.flags import Flag
 from bssrdf.session.records import SAMPLE_KEYS, ChannelFit, Fit, Session, Slice
-from bssrdf.session.session_toml import read_session
-from bssrdf.session.slice_csv import HEADER, about, read_slice
-from bssrdf.session.slice_units import doubt
 
 if TYPE_CHECKING:
     from bssrdf.report import Check

@@ -21,8 +21,8 @@ from bssrdf.batch.arrow import (
     written,
 )
 from bssrdf.errors import BssrdfError, InputError
+from bssrdf.session import from_plain
 from bssrdf.session.keys import keys_of
-from bssrdf.session.plain import from_plain
 from bssrdf.session.records import ChannelFit, Fit
 
 _WHOLE: dict[str, Any] = {

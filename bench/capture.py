@@ -18,8 +18,7 @@ import numpy as np
 
 from bssrdf.errors import BssrdfError
 from bssrdf.rig import BenchScene, Event, SimSensor, SimulatedBench, capture_session, published_sample, white_tile
-from bssrdf.session.atomic import sha256_of, sync
-from bssrdf.session.frames_csv import append_frame, recover_frames
+from bssrdf.session import append_frame, recover_frames, sha256_of, sync
 from bssrdf.session.records import Frame
 
 SHUTTER_FAULTS = (

@@ -28,7 +28,7 @@ from bssrdf.export.closure import solve
 from bssrdf.export.loss import depth_for, lost_share
 from bssrdf.export.mitsuba import LOST, MOST_DEPTH, mitsuba_xml
 from bssrdf.export.solved import Setting
-from bssrdf.session.atomic import atomic_write, make_folder
+from bssrdf.session import atomic_write, make_folder
 from bssrdf.transport import CHANNELS, load_materials
 from bssrdf.transport.fresnel import fresnel_r
 

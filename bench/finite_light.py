@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bssrdf.session.atomic import atomic_write
+from bssrdf.session import atomic_write
 from bssrdf.session.records import ChannelSlice, Slice
 from bssrdf.transport import MonteCarloMedium, find_material, simulate
 

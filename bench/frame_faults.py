@@ -12,7 +12,7 @@ import tifffile
 from numpy.typing import NDArray
 
 from bssrdf.rig import BenchScene, SimSensor, expose, published_sample, white_tile
-from bssrdf.session.frames_csv import write_frames
+from bssrdf.session import write_frames
 from bssrdf.session.records import Beam, Camera, Frame, FrameKind, Geometry, Material, Reference, Session
 
 Array = NDArray[np.float64]

@@ -20,7 +20,7 @@ import numpy as np
 
 from bssrdf.bench.sabotage import MARBLE, currents, toml_of
 from bssrdf.rig import BRACKET_S, SimSensor, dng_bytes, expose
-from bssrdf.session.frames_csv import write_frames
+from bssrdf.session import write_frames
 from bssrdf.session.records import Frame, FrameKind
 
 SMALL = (400, 600)

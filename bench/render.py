@@ -22,7 +22,7 @@ from bssrdf.bench.render_truth import cut_share, sky_radiance
 from bssrdf.errors import UsageError
 from bssrdf.measure import Progress
 from bssrdf.render import EPSILON, RenderMaterial, Stage, find_medium, load_stage, render_pass
-from bssrdf.session.atomic import make_folder
+from bssrdf.session import make_folder
 
 Floats = NDArray[np.float64]
 REFERENCE_SE = 0.003

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from bssrdf.render import TERMS, Pixels, RenderOptions, exposure, render, shown
 from bssrdf.render.scenes.catalogue import build_scene
-from bssrdf.session.atomic import atomic_write, make_folder
+from bssrdf.session import atomic_write, make_folder
 
 SEED = 2001
 _DPI = 100

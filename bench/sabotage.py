@@ -33,10 +33,8 @@ from bssrdf.rig import (
     published_sample,
     white_tile,
 )
-from bssrdf.session.frames_csv import write_frames
+from bssrdf.session import read_session, read_slice, write_frames
 from bssrdf.session.records import Frame, FrameKind
-from bssrdf.session.session_toml import read_session
-from bssrdf.session.slice_csv import read_slice
 from bssrdf.session.text_file import toml_table
 
 Array = NDArray[np.float64]

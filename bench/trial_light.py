@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from bssrdf.session.atomic import atomic_write
+from bssrdf.session import atomic_write
 from bssrdf.transport import CHANNELS, MIN_BATCHES, MonteCarloMedium, load_materials, simulate
 
 Floats = NDArray[np.float64]

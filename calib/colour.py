@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bssrdf.errors import InputError
-from bssrdf.session.frame_files import read_frame_file
+from bssrdf.session import read_frame_file
 from bssrdf.session.records import Camera
 
 Array = NDArray[np.float64]

@@ -14,7 +14,7 @@ from scipy.optimize import least_squares
 from bssrdf.calib.surface import Surface
 from bssrdf.calib.target import Target, find_target, grey
 from bssrdf.errors import InputError
-from bssrdf.session.frame_files import read_frame_file
+from bssrdf.session import read_frame_file
 from bssrdf.session.records import Distortion, Geometry
 
 Array = NDArray[np.float64]

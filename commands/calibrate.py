@@ -33,7 +33,7 @@ def camera(session: Path, out: Path, force: bool) -> None:
     """Gain, read noise and saturation from the frames of SESSION."""
     from bssrdf.measure import calibrate_camera
     from bssrdf.report import steps
-    from bssrdf.session.session_toml import read_session
+    from bssrdf.session import read_session
 
     with steps(quiet=is_quiet()) as progress:
         found = calibrate_camera(read_session(session), progress=progress)
@@ -143,7 +143,7 @@ def spot(
 
 
 def _add(out: Path, tables: Mapping[str, Mapping[str, Any]], force: bool) -> None:
-    from bssrdf.session.session_toml import read_calibration, write_calibration
+    from bssrdf.session import read_calibration, write_calibration
 
     present = read_calibration(out) if out.exists() else {}
     doubled = [name for name in tables if name in present]

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 def _slice_keys() -> Mapping[str, Declared]:
-    from bssrdf.session.slice_csv import HEADER
+    from bssrdf.session import HEADER
 
     return HEADER
 
@@ -88,7 +88,7 @@ def fit(
     from bssrdf.batch import fit_files, fit_joint_files
     from bssrdf.fit import RULE, FitOptions, Making
     from bssrdf.report import fit_text
-    from bssrdf.session.fit_json import failure_line, fit_line
+    from bssrdf.session import failure_line, fit_line
 
     if explain:
         click.echo(RULE, err=as_json)
@@ -160,7 +160,7 @@ def table(inputs: tuple[Path, ...], form: Any) -> None:
     """
     from bssrdf.batch import read_fits, stale
     from bssrdf.report import fits_table, published_table
-    from bssrdf.session.fit_json import fits_in
+    from bssrdf.session import fits_in
 
     paths = [fit for given in inputs for fit in fits_in(given)]
     fits = read_fits(paths)

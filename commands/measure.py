@@ -44,7 +44,7 @@ def measure(session: Path, **options: Any) -> None:
 
     from bssrdf.measure import measure_session
     from bssrdf.report import measured_text, steps
-    from bssrdf.session.session_toml import read_session
+    from bssrdf.session import read_session
 
     with steps(quiet=is_quiet()) as progress:
         known = read_session(session, complete=not options["hdr_only"])
@@ -58,6 +58,6 @@ def views(inputs: tuple[Path, ...]) -> None:
     """Compare slices of one sample taken at several view angles."""
     from bssrdf.batch import slice_file
     from bssrdf.report import views_text
-    from bssrdf.session.slice_csv import read_slice
+    from bssrdf.session import read_slice
 
     click.echo(views_text([read_slice(slice_file(path)) for path in inputs]))

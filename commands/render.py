@@ -94,7 +94,7 @@ def compare(scene: str, out: Path | None, samples: int, mc_samples: int | None, 
     """
     from bssrdf.render import compare_models, mc_refusal, scores_text, write_comparison
     from bssrdf.report import steps
-    from bssrdf.session.atomic import replace_folder
+    from bssrdf.session import replace_folder
 
     folder = out or Path(f"{Path(scene).stem}-compare")
     _refuse([folder], given.pop("force"))
@@ -224,7 +224,7 @@ def _provenance(scene: str, subject: Scene | Path, options: RenderOptions, sampl
     from dataclasses import asdict
     from importlib.metadata import version
 
-    from bssrdf.session.atomic import sha256_of
+    from bssrdf.session import sha256_of
 
     facts: dict[str, Any] = {"software": f"bssrdf {__version__}, mitsuba {version('mitsuba')}", "scene": scene}
     if isinstance(subject, Path):

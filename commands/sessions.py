@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 @force_option
 def init(session: Path, force: bool) -> None:
     """Make an empty SESSION with a commented session.toml."""
-    from bssrdf.session.session_toml import write_template
+    from bssrdf.session import write_template
 
     write_template(session, force=force)
     click.echo(f"{session / 'session.toml'}: fill it in, put frames into frames/ and list them in frames.csv")
@@ -83,7 +83,7 @@ def ingest(
 
     RAW, TIFF or others; exposures come from metadata or from file names.
     """
-    from bssrdf.session.ingest import ingest_folder
+    from bssrdf.session import ingest_folder
 
     frames = ingest_folder(
         folder,
@@ -110,7 +110,7 @@ def ingest(
 @click.argument("session", type=FOLDER)
 def verify(session: Path) -> None:
     """Check that SESSION is complete and unchanged."""
-    from bssrdf.session.verify import verify_session
+    from bssrdf.session import verify_session
 
     verified = verify_session(session)
     for fault in verified.faults:

@@ -8,11 +8,10 @@ from dataclasses import MISSING
 from pathlib import Path
 
 from bssrdf.rig.plan_toml import CapturePlan, ExposurePlan
+from bssrdf.session import HEADER, TABLES
 from bssrdf.session.flags import Flag
 from bssrdf.session.keys import Declared, keys_of
 from bssrdf.session.records import Card, ChannelFit, Frame
-from bssrdf.session.session_toml import TABLES
-from bssrdf.session.slice_csv import HEADER
 from bssrdf.session.text_file import toml_value
 
 ROOT = Path(__file__).parents[1]

@@ -14,7 +14,7 @@ from pathlib import Path
 from bssrdf.errors import InputError
 from bssrdf.export.spread import WalkMedium
 from bssrdf.export.text import identifier
-from bssrdf.session.fit_json import fits_in, read_fit
+from bssrdf.session import fits_in, read_fit
 from bssrdf.session.records import ChannelFit, Fit
 from bssrdf.transport import CHANNELS, find_material, load_materials, table_source
 

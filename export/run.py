@@ -17,7 +17,7 @@ from bssrdf.export.solved import Keep, Setting
 from bssrdf.export.text import identifier
 from bssrdf.export.unit import Unit
 from bssrdf.export.usd import usd_text
-from bssrdf.session.atomic import atomic_write
+from bssrdf.session import atomic_write
 
 Target = Literal["blender", "mitsuba", "pbrt", "openpbr", "usd"]
 Version = tuple[int, int]

@@ -13,10 +13,7 @@ from numpy.typing import NDArray
 from bssrdf.calib import Response, fit_response, master_dark
 from bssrdf.errors import InputError
 from bssrdf.measure.hdr import DarkPaired, Shot
-from bssrdf.session.constancy import CONSTANT_KINDS
-from bssrdf.session.frame_files import read_frame_file
-from bssrdf.session.frames_csv import dark_for
-from bssrdf.session.raw_frame import RawFrame, by_place, filled
+from bssrdf.session import CONSTANT_KINDS, RawFrame, by_place, dark_for, filled, read_frame_file
 from bssrdf.session.records import Camera, Frame, FrameKind, Session
 
 Corrections = Mapping[tuple[str, float], Callable[[DarkPaired], DarkPaired]]

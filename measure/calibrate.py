@@ -14,9 +14,7 @@ from bssrdf.measure.hdr import Hdr, Progress
 from bssrdf.measure.image import Image, locate, spot_radius_mm
 from bssrdf.measure.learn import learn_camera
 from bssrdf.measure.pixels import channel_names, mosaic_period
-from bssrdf.session.constancy import check_constant, with_cards
-from bssrdf.session.frame_files import read_frame_file
-from bssrdf.session.frames_csv import read_frames
+from bssrdf.session import check_constant, read_frame_file, read_frames, with_cards
 from bssrdf.session.records import Array, Beam, Camera, FrameKind, Geometry, Session
 from bssrdf.session.text_file import parse_csv, read_text
 

@@ -22,9 +22,7 @@ from bssrdf.errors import InputError
 from bssrdf.measure.hdr import NO_DATA, SATURATED, Hdr, Plane
 from bssrdf.measure.pixels import mosaic_period, places
 from bssrdf.measure.total_errors import Timing
-from bssrdf.session.frame_files import read_linear_image
-from bssrdf.session.hdr_image import read_hdr_exr, write_hdr_exr
-from bssrdf.session.plain import from_plain, to_plain
+from bssrdf.session import from_plain, read_hdr_exr, read_linear_image, to_plain, write_hdr_exr
 from bssrdf.session.records import Camera, Frame, Session
 
 _TOLD = "told"

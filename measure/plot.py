@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from bssrdf.measure.image import Image
 from bssrdf.measure.scene import Marks, light_of, marks_of, picture, saturation_map
-from bssrdf.session.atomic import atomic_write
+from bssrdf.session import atomic_write
 from bssrdf.session.records import ChannelSlice, Session, Slice
 
 _COLOURS = {"R": "tab:red", "G": "tab:green", "B": "tab:blue"}

@@ -22,14 +22,19 @@ from bssrdf.measure.pixels import channel_names, mosaic_period
 from bssrdf.measure.plot import write_scene_png, write_slice_png
 from bssrdf.measure.slice import SliceOptions, measure_slice
 from bssrdf.measure.total_errors import Timing
-from bssrdf.session.atomic import replace_folder, sha256_of
-from bssrdf.session.constancy import check_constant, check_no_copy, with_cards
+from bssrdf.session import (
+    UNNAMED,
+    check_constant,
+    check_no_copy,
+    is_ours,
+    read_frames,
+    replace_folder,
+    sha256_of,
+    with_cards,
+    write_slice,
+)
 from bssrdf.session.flags import Flag
-from bssrdf.session.frames_csv import read_frames
-from bssrdf.session.hdr_image import is_ours
 from bssrdf.session.records import Camera, Frame, FrameKind, Session, Slice, Space
-from bssrdf.session.session_toml import UNNAMED
-from bssrdf.session.slice_csv import write_slice
 
 _KINDS: tuple[FrameKind, ...] = ("sample", "reference")
 

@@ -14,7 +14,7 @@ import numpy as np
 from bssrdf.render.picture import Picture, Pixels, Progress, exposure, render, shown, write_pictures
 from bssrdf.render.plugins import Model, RenderOptions
 from bssrdf.render.scenes.record import Scene
-from bssrdf.session.atomic import atomic_write
+from bssrdf.session import atomic_write
 
 EPSILON = 0.01
 """Of the reference's mean square, in the denominator of relMSE."""

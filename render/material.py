@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from bssrdf.errors import InputError
-from bssrdf.session.fit_json import read_fit
+from bssrdf.session import read_fit
 from bssrdf.session.records import Fit
 from bssrdf.transport import CHANNELS, Rgb, find_material
 

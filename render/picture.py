@@ -16,7 +16,7 @@ from bssrdf.errors import InputError
 from bssrdf.render.plugins import RenderOptions, integrator, scene_dict
 from bssrdf.render.scenes.record import Scene
 from bssrdf.render.variant import cause, use_variant
-from bssrdf.session.atomic import atomic_write
+from bssrdf.session import atomic_write
 
 Pixels = NDArray[np.float32]
 Progress = Callable[[str, int, int], None]
@@ -110,7 +110,7 @@ def shown(radiance: Pixels, factor: float) -> NDArray[np.uint8]:
 
 def write_pictures(stem: Path, picture: Picture, provenance: Mapping[str, Any]) -> tuple[Path, Path]:
     """Write stem.exr, parts `radiance` and `variance`, and stem.png to look at; both hold the provenance."""
-    from bssrdf.session.oiio_file import write_exr, write_png
+    from bssrdf.session import write_exr, write_png
 
     exr, png = stem.with_name(stem.name + ".exr"), stem.with_name(stem.name + ".png")
     attributes = {PROVENANCE: json.dumps(provenance)}

@@ -9,12 +9,8 @@ from typing import Any
 
 from bssrdf.errors import InputError
 from bssrdf.measure import Merged, StaleImages, read_merged
-from bssrdf.session.atomic import sha256_of
-from bssrdf.session.fit_json import read_fit
-from bssrdf.session.frames_csv import read_frames
+from bssrdf.session import HEADER, read_fit, read_frames, read_session, read_slice, sha256_of
 from bssrdf.session.records import Fit, Frame, Session, Slice
-from bssrdf.session.session_toml import read_session
-from bssrdf.session.slice_csv import HEADER, read_slice
 from bssrdf.session.text_file import parse_toml, read_text
 
 KINDS = ("sample", "reference")

@@ -9,8 +9,7 @@ import numpy as np
 
 from bssrdf.errors import InputError
 from bssrdf.fit import Forward, Making, forward_curve
-from bssrdf.session.atomic import atomic_write
-from bssrdf.session.slice_units import MM
+from bssrdf.session import MM, atomic_write
 
 CHANNEL = "curve"
 _FROM_MFP, _TO_MFP, _RADII = 0.3, 30.0, 60

@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 
 from bssrdf.calib import Sensor
 from bssrdf.measure import Hdr, bracket_of, grids_of, read_ahead
-from bssrdf.session.frames_csv import dark_for
-from bssrdf.session.plain import from_plain
+from bssrdf.session import dark_for, from_plain
 from bssrdf.session.records import Frame, Session
 
 Floats = NDArray[np.float64]

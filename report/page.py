@@ -27,7 +27,7 @@ from bssrdf.report.text import with_error
 from bssrdf.report.tiles import Tile, channel_tiles, halves_tile, left_out_tile, noise_tile, saturation_tile
 from bssrdf.report.validation import Check, validate
 from bssrdf.report.verdict import SOURCES, Verdict, verdict_of
-from bssrdf.session.atomic import atomic_write
+from bssrdf.session import atomic_write
 from bssrdf.session.flags import meaning_of
 from bssrdf.session.records import ChannelFit, Fit
 

@@ -22,9 +22,7 @@ from bssrdf.rig.ports import BadShot
 from bssrdf.rig.record import Record, begin, frames_there, resumed, write_record
 from bssrdf.rig.rig_toml import Rig, read_rig
 from bssrdf.rig.steps import Step, snapped, steps_of
-from bssrdf.session.atomic import sha256_of, sync
-from bssrdf.session.constancy import card_of_file, differences
-from bssrdf.session.frames_csv import SAME_EXPOSURE, append_frame
+from bssrdf.session import SAME_EXPOSURE, append_frame, card_of_file, differences, sha256_of, sync
 from bssrdf.session.records import Frame
 
 DRIFT_FLAGGED = 0.003

@@ -12,9 +12,7 @@ import numpy as np
 
 from bssrdf.errors import DeviceError, InputError
 from bssrdf.rig.ports import BadShot, Clock, Identity
-from bssrdf.session.frame_files import is_frame_name, read_frame_file
-from bssrdf.session.raw_file import RAW_SUFFIXES
-from bssrdf.session.raw_frame import RawFrame
+from bssrdf.session import RAW_SUFFIXES, RawFrame, is_frame_name, read_frame_file
 
 _TICK_S = 0.05
 _SHORTEST_PRESS_S = 0.1

@@ -12,8 +12,7 @@ from scipy.ndimage import median_filter
 from bssrdf.calib import pile_up_dn, step_dn
 from bssrdf.errors import InputError
 from bssrdf.rig.steps import Step
-from bssrdf.session.frame_files import read_frame_file
-from bssrdf.session.raw_frame import RawFrame
+from bssrdf.session import RawFrame, read_frame_file
 
 Array = NDArray[np.float64]
 

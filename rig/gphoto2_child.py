@@ -14,7 +14,7 @@ from typing import Any
 
 from bssrdf.rig.camera_settings import NAMES, unfit
 from bssrdf.rig.ports import BadShot
-from bssrdf.session.raw_file import RAW_SUFFIXES
+from bssrdf.session import RAW_SUFFIXES
 
 _POLL_S = 0.002
 _EVENT_MS = 100

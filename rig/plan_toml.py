@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from bssrdf.errors import InputError
+from bssrdf.session import checked_table, records_of
 from bssrdf.session.checks import known_keys, shown
 from bssrdf.session.keys import Key, Range, checked_keys, keys_of
 from bssrdf.session.records import Material
-from bssrdf.session.session_toml import checked_table, records_of
 from bssrdf.session.text_file import FORMAT, check_format, parse_toml, read_text
 
 Subject = Literal["sample", "reference"]

@@ -10,9 +10,7 @@ from pathlib import Path
 from bssrdf.errors import DeviceError
 from bssrdf.rig.child import ended_well
 from bssrdf.rig.ports import Clock, Identity, ShutterState
-from bssrdf.session.file_kind import kind_of
-from bssrdf.session.frame_files import ENCODED_SUFFIXES, IMAGE_SUFFIXES
-from bssrdf.session.raw_file import RAW_SUFFIXES
+from bssrdf.session import ENCODED_SUFFIXES, IMAGE_SUFFIXES, RAW_SUFFIXES, kind_of
 
 DEVICE_S = 10.0
 CAMERA_S = 60.0

@@ -12,10 +12,8 @@ from bssrdf.errors import InputError, UsageError
 from bssrdf.rig.plan_toml import CapturePlan, Subject, read_plan
 from bssrdf.rig.ports import Identity
 from bssrdf.rig.rig_toml import Rig
-from bssrdf.session.atomic import atomic_write, sha256_of
-from bssrdf.session.frames_csv import recover_frames
+from bssrdf.session import atomic_write, recover_frames, sha256_of, write_session
 from bssrdf.session.records import Frame, Session
-from bssrdf.session.session_toml import write_session
 from bssrdf.session.text_file import FORMAT, parse_toml, read_text, toml_table
 
 EXPOSURES = "exposures_s"

@@ -8,10 +8,10 @@ from typing import Annotated, Any
 
 from bssrdf.errors import InputError
 from bssrdf.rig.drivers import PARTS, PartName, find, names
+from bssrdf.session import TABLES, checked_table, records_of
 from bssrdf.session.checks import Check, checked, choice, known_keys
 from bssrdf.session.keys import POSITIVE, Key, Range, keys_of
 from bssrdf.session.records import Geometry
-from bssrdf.session.session_toml import TABLES, checked_table, records_of
 from bssrdf.session.text_file import FORMAT, check_format, parse_toml, read_text
 
 

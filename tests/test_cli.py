@@ -125,7 +125,7 @@ def test_what_goes_wrong_is_one_line_and_an_exit_code(
     def fail(*_: object) -> None:
         raise error
 
-    monkeypatch.setattr("bssrdf.session.verify.verify_session", fail)
+    monkeypatch.setattr("bssrdf.session.verify_session", fail)
     assert bssrdf("verify", "somewhere") == code
     _, err = lines(capsys)
     assert len([line for line in err if line]) == 1

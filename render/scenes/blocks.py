@@ -79,7 +79,7 @@ def _maps(material: RenderMaterial, tone: NDArray[np.float32]) -> Maps:
 
 def _image(path: Path) -> NDArray[np.float32]:
     """An image file as values from 0 to 1, shape (h, w, 3)."""
-    from bssrdf.session.oiio_file import read_image
+    from bssrdf.session import read_image
 
     if not path.is_file():
         raise InputError(f"{path}: there is no such texture; check the path, or leave --texture out for veins")

@@ -17,7 +17,7 @@ import platformdirs
 from numpy.typing import NDArray
 
 from bssrdf.rig.sim.media import SampleMedium, r_edges_mfp, unit_medium
-from bssrdf.session.atomic import atomic_write
+from bssrdf.session import atomic_write
 
 Array = NDArray[np.float64]
 

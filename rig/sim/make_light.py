@@ -13,7 +13,7 @@ import numpy as np
 from bssrdf.rig.sim.light import SHIPPED, light_key
 from bssrdf.rig.sim.media import SampleMedium, published_sample, unit_medium
 from bssrdf.rig.sim.walked_light import walked
-from bssrdf.session.atomic import atomic_write
+from bssrdf.session import atomic_write
 from bssrdf.transport import load_materials
 
 VIEW_ANGLE_DEG = 45.0
