@@ -22,7 +22,7 @@ from bssrdf.batch.stages import StageOptions
 from bssrdf.batch.state import InputOutcome, is_finished, read_chunk, stage_keys
 from bssrdf.batch.sums import write_sums
 from bssrdf.errors import UsageError
-from bssrdf.session.atomic import atomic_write, make_folder
+from bssrdf.session import atomic_write, make_folder
 
 MEASURED, PLAIN = 4, 256
 """Inputs in a chunk: with frames, of which each takes seconds, and without, which the fit takes together."""

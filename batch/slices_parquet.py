@@ -30,6 +30,7 @@ from bssrdf.batch.arrow import (
     written,
 )
 from bssrdf.errors import InputError
+from bssrdf.session import overridden, slice_of
 from bssrdf.session.checks import shown
 from bssrdf.session.keys import checked_keys, keys_of
 from bssrdf.session.records import ChannelSlice, Slice
@@ -44,7 +45,6 @@ from bssrdf.session.slice_checks import (
     check_size,
     check_values,
 )
-from bssrdf.session.slice_csv import overridden, slice_of
 
 if TYPE_CHECKING:
     import pyarrow as pa

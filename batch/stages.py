@@ -21,8 +21,7 @@ from bssrdf.batch.inputs import STAGES, BatchInput, Stage, filesystem
 from bssrdf.batch.state import InputOutcome, StageKeys
 from bssrdf.errors import BssrdfError, InputError
 from bssrdf.fit import FitOptions
-from bssrdf.session.atomic import make_folder
-from bssrdf.session.fit_json import fit_to_dict, read_fit
+from bssrdf.session import fit_to_dict, make_folder, read_fit
 
 _DISK = (errno.ENOSPC, errno.EDQUOT, errno.EROFS)
 
@@ -160,7 +159,7 @@ def _at_hand(path: str) -> Iterator[Path]:
 
 def _ingested(work: _Work, source: Path, options: StageOptions) -> Path:
     """The session of a folder of frames; one that is a session already is itself."""
-    from bssrdf.session.ingest import ingest_folder
+    from bssrdf.session import ingest_folder
 
     if (source / "frames.csv").is_file():
         return source
@@ -194,7 +193,7 @@ def _bring(session: Path, folder: Path, *, with_slice: bool) -> None:
 
 def _measure(session: Path, folder: Path) -> None:
     from bssrdf.measure import measure_session
-    from bssrdf.session.session_toml import read_session
+    from bssrdf.session import read_session
 
     measure_session(read_session(session), out=folder / "measured")
 

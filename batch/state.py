@@ -11,7 +11,7 @@ from typing import Any
 
 import bssrdf
 from bssrdf.batch.inputs import BatchInput, Stage
-from bssrdf.session.atomic import atomic_write
+from bssrdf.session import atomic_write
 
 Told = Callable[[Any], None]
 """Is told what a process works on."""

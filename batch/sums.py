@@ -10,7 +10,7 @@ from urllib.parse import quote
 
 from bssrdf.batch.inputs import Stage
 from bssrdf.batch.state import InputOutcome
-from bssrdf.session.atomic import atomic_write
+from bssrdf.session import atomic_write
 from bssrdf.session.text_file import csv_text
 
 VALUES = (

@@ -22,8 +22,8 @@ import numpy as np
 from bssrdf.batch import Named, StageOptions, fit_parquet, read_slices, run_batch, sample_on, write_slices
 from bssrdf.bench.fit import noisy_curves
 from bssrdf.fit import FitOptions, fit_slices
+from bssrdf.session import write_slice
 from bssrdf.session.records import ChannelSlice, Slice
-from bssrdf.session.slice_csv import write_slice
 from bssrdf.transport import WhiteSamples, batches, merged, photons_per_batch
 
 Progress = Callable[[str, int, int], None]

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from bssrdf.session.file_kind import kind_of as kind_of
     from bssrdf.session.fit_json import failure_line as failure_line
     from bssrdf.session.fit_json import fit_line as fit_line
+    from bssrdf.session.fit_json import fit_to_dict as fit_to_dict
     from bssrdf.session.fit_json import fits_in as fits_in
     from bssrdf.session.fit_json import read_fit as read_fit
     from bssrdf.session.fit_json import write_fit as write_fit
