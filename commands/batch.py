@@ -106,7 +106,9 @@ def batch(
     memory: float | None,
     **keys: Any,
 ) -> None:
-    """Run stages for many inputs: sessions, folders of them, slices, lists in .txt files, addresses.
+    """Run stages for many sessions, here or on a cluster.
+
+    An input is a session, a folder of them, a slice, a list in a .txt file, or an address.
 
     Nothing is written into them. Run the same command again after a break: what is done is not done again.
     """
