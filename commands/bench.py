@@ -199,7 +199,7 @@ def export(out: Path | None, force: bool, pythons: tuple[Path, ...], materials: 
 @click.option("--files", type=click.IntRange(1), default=300, show_default=True, help="slice.csv files of a batch.")
 @click.option("--workers", type=click.IntRange(1), multiple=True, help="Of a batch; may be given again.")
 def scale(out: Path | None, force: bool, sizes: tuple[int, ...], files: int, workers: tuple[int, ...]) -> None:
-    """Curves in bulk by the size of the file, and batches by workers: time, memory, efficiency."""
+    """Curves per second by size, sessions per second by workers."""
     from bssrdf.bench.scale import SIZES, WORKERS, run_scale_bench, table
     from bssrdf.report import steps
 
@@ -218,7 +218,7 @@ def scale(out: Path | None, force: bool, sizes: tuple[int, ...], files: int, wor
 @click.option("--cluster", default="local:2", show_default=True, help="As for `batch`.")
 @click.option("--core-seconds", type=click.FloatRange(min=0, min_open=True), default=60.0, show_default=True)
 def tables(cluster: str, core_seconds: float) -> None:
-    """Walk the samples of a Monte Carlo table in one process and on a cluster: time, and whether the bits agree."""
+    """Walk a Monte Carlo table here and on a cluster, bit for bit."""
     from bssrdf.bench.scale import run_tables_bench
     from bssrdf.report import steps
 
