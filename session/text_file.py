@@ -97,8 +97,9 @@ class TextColumns(NamedTuple):
 
 def parse_columns(file: Path, content: str, known: Sequence[str], needed: Sequence[str]) -> TextColumns:
     """`parse_csv` by columns; a plain table of many rows is cut at its commas at once."""
-    lines = [number for number, line in enumerate(content.split("\n"), 1) if line]
-    rows = [line for line in content.split("\n") if line]
+    every = content.split("\n")
+    lines = [number for number, line in enumerate(every, 1) if line]
+    rows = [every[number - 1] for number in lines]
     if '"' in content or not rows or len({row.count(",") for row in rows}) > 1:
         table = parse_csv(file, content, known, needed)
         columns: list[Sequence[str]] = list(zip(*table.rows, strict=True))
