@@ -9,12 +9,17 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from bssrdf.measure.chart import GREY, Chart, Key
 from bssrdf.measure.image import Image
 from bssrdf.measure.scene import Marks, light_of, marks_of, picture, saturation_map
 from bssrdf.session import atomic_write
 from bssrdf.session.records import ChannelSlice, Session, Slice
 
-_COLOURS = {"R": "tab:red", "G": "tab:green", "B": "tab:blue"}
+_COLOURS = {"R": (214, 39, 40), "G": (44, 160, 44), "B": (31, 119, 180)}
+_OTHERS = ((31, 119, 180), (255, 127, 14), (44, 160, 44), (214, 39, 40), (148, 103, 189), (140, 86, 75))
+"""RGB."""
+_LEAST = 1e-12
+"""R_d [1/mm²] below which nothing is drawn."""
 _PANEL_PX = 900
 _SPOT, _SLICE, _ISOPHOTE, _SATURATED = (165, 90, 255), (74, 213, 255), (255, 201, 92), (48, 59, 255)
 """BGR."""
@@ -25,29 +30,22 @@ _FAR = 0.8
 
 def write_slice_png(path: Path, curve: Slice) -> None:
     """Draw R_d(r) of every channel with its error bars and the floor of its noise; nothing is shown on a screen."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(7, 4.5))
-    figure.subplots_adjust(left=0.12, right=0.98, bottom=0.12, top=0.97)  # a layout engine takes as long as the rest
-    FigureCanvasAgg(figure)
-    axes = figure.add_subplot(xlabel="distance from the beam, mm", ylabel="R_d, 1/mm²")
-    axes.set_yscale("log", nonpositive="clip")
-    for name, part in curve.channels.items():
-        x, value, sd = _bins(part)
+    bins = {name: _bins(part) for name, part in curve.channels.items()}
+    x, value, sd = np.concatenate([np.stack(part)[:, part[1] > 0] for part in bins.values()], axis=1)
+    bottom = max(_lowest(curve) / 3, _LEAST) if value.size else _LEAST
+    chart = Chart((x.min(initial=0.0), x.max(initial=0.0)), (bottom, (value + sd).max(initial=10 * bottom)))
+    keys = [Key("noise floor, 1 sd", GREY, is_dot=False)]
+    for number, (name, (x, value, sd)) in enumerate(bins.items()):
         lit = value > 0
-        total = f", R seen {curve.total_r[name]:.3f}" if name in curve.total_r else ""
-        drawn = axes.errorbar(
-            x[lit], value[lit], sd[lit], fmt=".", ms=3, lw=0.7, color=_COLOURS.get(name), label=f"{name}{total}"
-        )
+        colour = _COLOURS.get(name, _OTHERS[number % len(_OTHERS)])
+        chart.bars(x[lit], (value - sd)[lit], (value + sd)[lit], colour)
+        chart.dots(x[lit], value[lit], colour)
         if floor := _floor(x, sd):
-            axes.axhline(floor, color=drawn[0].get_color(), lw=0.8, ls=":")
-    if any(part.rd_per_mm2.max(initial=0.0) > 0 for part in curve.channels.values()):
-        axes.set_ylim(bottom=max(_lowest(curve) / 3, 1e-12))
-    axes.axhline(np.nan, color="0.4", lw=0.8, ls=":", label="noise floor, 1 sd")
-    axes.legend(title=curve.material)
+            chart.dotted(floor, colour)
+        total = f", R seen {curve.total_r[name]:.3f}" if name in curve.total_r else ""
+        keys.append(Key(f"{name}{total}", colour, is_dot=True))
     with atomic_write(path) as unfinished:
-        figure.savefig(unfinished, dpi=110, format="png")
+        unfinished.write_bytes(chart.png("distance from the beam, mm", "R_d, 1/mm²", curve.material or "", keys))
 
 
 def _bins(part: ChannelSlice) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:

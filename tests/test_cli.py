@@ -95,6 +95,15 @@ assert not heavy, heavy
     python(code)
 
 
+def test_measure_imports_no_matplotlib_no_jax_and_no_rig() -> None:
+    python("""
+import sys
+import bssrdf.commands.measure, bssrdf.report.progress, bssrdf.measure.session
+heavy = {"jax", "matplotlib", "bssrdf.rig"} & set(sys.modules)
+assert not heavy, heavy
+""")
+
+
 def test_version(capsys: pytest.CaptureFixture[str]) -> None:
     import bssrdf as package
 
