@@ -19,8 +19,7 @@ import cv2
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = [ROOT / "docs" / name for name in ("tutorial.md", "curves.md")]
-PICTURES = {"scene.png": "tutorial_scene.webp", "slice.png": "tutorial_slice.png"}
-"""Of measured/ in the tutorial, and their names in docs/images."""
+IMAGES = ROOT / "docs" / "images"
 _SCRIPT = re.compile(r"`(\w+\.py)`[^`]*\n```python\n(.*?)```", re.DOTALL)
 _SHOWN = re.compile(r"```sh\n(?P<commands>.*?)```\n(?:\n?```text\n(?P<printed>.*?)```\n)?", re.DOTALL)
 
@@ -36,10 +35,13 @@ def as_in_a_clone(folder: Path, text: str) -> None:
 def shown(text: str, folder: Path) -> Iterator[tuple[re.Match[str], str]]:
     """Each block of commands of a page, and what it prints when it is run."""
     programs = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
+    places = os.environ.get("PYTHONPATH", "").split(os.pathsep)
+    modules = os.pathsep.join(str(Path(place).resolve()) for place in places if place)
+    environment = {**os.environ, "PATH": programs, "PYTHONPATH": modules, "COLUMNS": "80"}
     for block in _SHOWN.finditer(text):
         done = subprocess.run(
             ["bash", "-euo", "pipefail", "-c", block["commands"]],
-            cwd=folder, env={**os.environ, "PATH": programs, "COLUMNS": "80"}, stdout=subprocess.PIPE,
+            cwd=folder, env=environment, stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT, stdin=subprocess.DEVNULL, text=True, check=False,
         )  # fmt: skip
         if done.returncode:
@@ -56,21 +58,29 @@ def written_anew(text: str) -> str:
             if block["printed"] is not None:
                 pieces += [text[end : block.start("printed")], printed]
                 end = block.end("printed")
-        keep_pictures(Path(name) / "marble" / "measured")
+        keep_pictures(Path(name) / "marble")
     return "".join([*pieces, text[end:]])
 
 
-def keep_pictures(measured: Path) -> None:
-    """Copy what `measure` drew; a photograph takes a tenth of the room as WebP."""
-    for source, name in PICTURES.items():
-        if not (measured / source).is_file():
-            continue
-        if name.endswith(".webp"):
-            cv2.imwrite(
-                str(ROOT / "docs/images" / name), cv2.imread(str(measured / source)), [cv2.IMWRITE_WEBP_QUALITY, 85]
-            )
-        else:
-            shutil.copyfile(measured / source, ROOT / "docs/images" / name)
+def keep_pictures(session: Path) -> None:
+    """What `measure` drew, and the top of the report's page where Chromium is installed."""
+    if not (session / "report.html").is_file():
+        return
+    shutil.copyfile(session / "measured" / "slice.png", IMAGES / "tutorial_slice.png")
+    as_webp(session / "measured" / "scene.png", IMAGES / "tutorial_scene.webp")
+    if shutil.which("chromium") and shutil.which("chromedriver"):
+        sys.path.insert(0, str(ROOT / "tests"))
+        from browser import chromium, show
+
+        with chromium() as driver:
+            show(driver, session / "report.html", width=1000)
+            driver.save_screenshot(str(session / "report.png"))
+        as_webp(session / "report.png", IMAGES / "tutorial_report.webp")
+
+
+def as_webp(source: Path, file: Path) -> None:
+    """A tenth of the room that a photograph takes as PNG."""
+    cv2.imwrite(str(file), cv2.imread(str(source)), [cv2.IMWRITE_WEBP_QUALITY, 85])
 
 
 if __name__ == "__main__":

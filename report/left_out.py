@@ -115,18 +115,30 @@ def _predicted(
         others = time - seconds[at] * lit[at]
         with np.errstate(divide="ignore", invalid="ignore"):
             expected = (light - signals[at] * lit[at]) / others * seconds[at]
-        noise = np.sqrt(np.maximum(expected, 0) / sensor.gain_e_per_dn + 2 * sensor.read_var_dn())
+        noise = _noise_of_prediction(
+            expected, seconds[at] / np.maximum(others, 1e-12), lit.sum(axis=0) - lit[at], sensor
+        )
         tells = lit[at] & (others > 0) & (expected > _BRIGHT_SD * noise) & (expected < 0.9 * sensor.span_dn())
         if tells.sum() < _FEWEST:
             continue
         whole = float(expected[tells].sum())
-        own = float((noise[tells] ** 2 * (1 + seconds[at] / others[tells])).sum()) ** 0.5 / whole
+        own = float((noise[tells] ** 2).sum()) ** 0.5 / whole
         stated = float(rel_sd.get(f"{kind} {frame.exposure_s:g}", 0.0))
         departure = float(signals[at][tells].sum()) / whole - 1
         outcome.append(
             LeftOut(kind, frame.file, frame.exposure_s, departure, float(np.hypot(own, stated)), int(tells.sum()))
         )
     return outcome
+
+
+def _noise_of_prediction(expected: Floats, ratio: Floats, n_others: NDArray[np.int_], sensor: Sensor) -> Floats:
+    """Of signal less prediction [DN]: the frame's own, and that of `n_others` shorter by `ratio`, grown by as much.
+
+    A choice of pixels by a noisy prediction favours what noise has lifted: where only the frame's own noise decided, a
+    bracket in steps of 8 lost 2 % of its longest exposure.
+    """
+    read, shot = 2 * sensor.read_var_dn(), np.maximum(expected, 0) / sensor.gain_e_per_dn
+    return np.sqrt(shot * (1 + ratio) + read * (1 + n_others * ratio**2))
 
 
 def merge_noise(
