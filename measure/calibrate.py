@@ -11,7 +11,7 @@ from bssrdf.calib import Surface, knife_edge_radius
 from bssrdf.errors import InputError
 from bssrdf.measure.bracket import bracket_of, camera_of, session_response
 from bssrdf.measure.hdr import Hdr, Progress
-from bssrdf.measure.image import Image, locate, spot_radius_mm
+from bssrdf.measure.image import Image, spot_radius_mm
 from bssrdf.measure.learn import learn_camera
 from bssrdf.measure.pixels import channel_names, mosaic_period
 from bssrdf.session import check_constant, read_frame_file, read_frames, with_cards
@@ -96,7 +96,7 @@ def radius_on_target(path: Path, geometry: Geometry, layout: str | None = None) 
     nothing = np.zeros(light.shape, np.uint8)
     channels = channel_names(layout, Beam())
     image = Image(str(path), Hdr(light, np.ones_like(light), nothing, nothing), layout, channels, Surface(geometry))
-    spot = locate(image)
+    spot = image.spot
     return float(np.sqrt(max(spot_radius_mm(image, spot) ** 2 - _pixel_blur(image, spot.x_px, spot.y_px), 0.0)))
 
 

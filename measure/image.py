@@ -69,6 +69,11 @@ class Image:
         small = small if small.ndim == 2 else small.mean(axis=2)
         return np.asarray(cv2.blur(small, (3, 3), borderType=cv2.BORDER_REPLICATE), np.float32), side
 
+    @cached_property
+    def spot(self) -> Spot:
+        """The beam's spot, from all channels together; InputError where the beam misses the frame."""
+        return _located(self)
+
     def aliasing(self, channel: str) -> float:
         """How far a sum over one of four pixels of a mosaic is off, relative: by half the difference of its two greens.
 
@@ -110,8 +115,7 @@ class Image:
         return Blocks(*(field[every.n > 0] for field in every))
 
 
-def locate(image: Image) -> Spot:
-    """The spot, from all channels together; InputError where the beam misses the frame."""
+def _located(image: Image) -> Spot:
     small, side = image.overview
     row, column = np.unravel_index(int(np.argmax(small)), small.shape)
     period = mosaic_period(image.layout)

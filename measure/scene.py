@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from bssrdf.calib import Spot, Surface
 from bssrdf.measure.hdr import SATURATED
-from bssrdf.measure.image import Image, beam_on_sample, locate
+from bssrdf.measure.image import Image, beam_on_sample
 from bssrdf.measure.pixels import grids_of, mosaic_period
 from bssrdf.session.records import Array, Session, Slice
 
@@ -51,7 +51,7 @@ class Marks:
 
 def marks_of(session: Session, images: Mapping[str, Image], curve: Slice | None) -> dict[str, Marks]:
     """By kind of image; the slice is drawn on the sample alone."""
-    spots = {kind: locate(image) for kind, image in images.items()}
+    spots = {kind: image.spot for kind, image in images.items()}
     coplanar = bool(session.reference and session.reference.coplanar)
     marks = {}
     for kind, image in images.items():

@@ -15,7 +15,6 @@ from bssrdf.measure.image import (
     beam_on_tile,
     check_beam_stayed,
     has_second_spot,
-    locate,
     spot_radius_mm,
 )
 from bssrdf.measure.isophotes import Expected, Isophotes, look_at_isophotes
@@ -87,7 +86,7 @@ def measure_slice(
     `timing` and `exposures` are of the brackets that were merged here; images merged elsewhere have none.
     """
     material, geometry, tile = _tables(session)
-    spots = locate(sample), locate(reference)
+    spots = sample.spot, reference.spot
     angles = geometry.view_angle_deg, session.beam.incidence_deg
     around = Surroundings(max(material.eta, 1.0), max(material.g or 0.0, 0.0), *angles)
     around_tile = Surroundings(_TILE_ETA, 0.0, *angles)

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from bssrdf.calib.surface import Surface
 from bssrdf.measure.hdr import HOT, SATURATED, Hdr
-from bssrdf.measure.image import Image, locate
+from bssrdf.measure.image import Image
 from bssrdf.measure.pixels import grids_of
 from bssrdf.measure.profile import Points, bin_edges, profile
 from bssrdf.measure.pyramid import Pyramid
@@ -53,7 +53,7 @@ def test_every_pixel_counts_once_wherever_the_beam_and_whatever_is_bad(height, w
 
 def test_the_curve_of_blocks_is_that_of_all_pixels():
     whole = image(picture((700, 900), (430.3, 350.8)))
-    spot = locate(whole)
+    spot = whole.spot
     blocks = blocks_of(whole, "G", spot)
     pixels = [pyramid.window((spot.x_px, spot.y_px), 2000.0) for pyramid in whole.pyramids["G"]]
     every = type(blocks)(*(np.concatenate(fields) for fields in zip(*pixels, strict=True)))
@@ -70,7 +70,7 @@ def test_the_curve_of_blocks_is_that_of_all_pixels():
 
 def test_a_wide_band_takes_blocks_and_a_narrow_one_pixels():
     whole = image(picture((500, 900), (430.3, 250.8)))
-    spot = locate(whole)
+    spot = whole.spot
     narrow, wide = (slice_profiles(whole, "G", spot, band_mm) for band_mm in (0.5, 12.0))
     far = narrow[1].r > 10
     ratio = np.interp(narrow[1].r[far], wide[1].r, wide[1].value) / narrow[1].value[far]
@@ -79,11 +79,11 @@ def test_a_wide_band_takes_blocks_and_a_narrow_one_pixels():
 
 def test_a_glint_in_a_block_is_light_but_no_part_of_the_curve():
     hdr = picture((500, 700), (350.0, 250.0))
-    before = radial_profile(image(hdr), "G", locate(image(hdr)))
+    before = radial_profile(image(hdr), "G", image(hdr).spot)
     hdr.radiance[33, 100] += 1e6
     hdr.mask[40, 101] = SATURATED
     glint = image(hdr)
-    spot = locate(glint)
+    spot = glint.spot
     after = radial_profile(glint, "G", spot)
     np.testing.assert_allclose(after.value, before.value, rtol=0.02)
     assert blocks_of(glint, "G", spot).light.sum() > 1e6
@@ -101,10 +101,10 @@ def test_light_by_count_is_all_the_light():
 def test_memory_beside_the_image_is_a_fraction_of_it():
     """40 bytes a pixel would be its coordinates and values in lists."""
     whole = image(picture((1600, 2400), (1201.0, 803.0)), "mono")
-    locate(image(picture((100, 100), (50.0, 50.0)), "mono"))
+    assert image(picture((100, 100), (50.0, 50.0)), "mono").spot.x_px > 0  # all is compiled
     tracemalloc.start()
     try:
-        spot = locate(whole)
+        spot = whole.spot
         radial_profile(whole, "mono", spot)
         slice_profiles(whole, "mono", spot, 0.5)
         peak = tracemalloc.get_traced_memory()[1]

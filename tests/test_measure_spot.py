@@ -13,7 +13,7 @@ from bssrdf.cli import cli
 from bssrdf.commands.console import BAD_INPUT, WRONG_USAGE, run
 from bssrdf.errors import InputError
 from bssrdf.measure.hdr import Hdr
-from bssrdf.measure.image import Image, beam_on_tile, locate, spot_radius_mm
+from bssrdf.measure.image import Image, beam_on_tile, spot_radius_mm
 from bssrdf.session.records import Geometry
 from bssrdf.session.session_toml import read_calibration
 
@@ -42,7 +42,7 @@ def tile_image(radius_mm, mm_per_px):
 @pytest.mark.parametrize(("radius_mm", "mm_per_px"), [(0.15, 0.05), (0.3, 0.1)])
 def test_the_spread_of_the_tile_is_taken_off(radius_mm, mm_per_px):
     image = tile_image(radius_mm, mm_per_px)
-    spot = locate(image)
+    spot = image.spot
     found = beam_on_tile(image, spot, VIEW_DEG)
     assert spot_radius_mm(image, spot) > 1.3 * radius_mm
     assert found.value == pytest.approx(radius_mm, rel=0.1)

@@ -34,10 +34,11 @@ def transmittance(eta: float, mu: Floats) -> Floats:
     return 1 - (r_s**2 + r_p**2) / 2
 
 
+@functools.lru_cache(maxsize=64)
 def boundary_a(eta: float) -> float:
     """A = (1 + Fdr)/(1 − Fdr) for eta ≥ 1, from inside: 1 − Fdr = C/eta², C = 2∫₀¹ Ft μ dμ of light from outside."""
-    u = (1 + np.polynomial.legendre.leggauss(32)[0]) / 2
-    du = np.polynomial.legendre.leggauss(32)[1] / 2
+    nodes, weights = np.polynomial.legendre.leggauss(32)
+    u, du = (1 + nodes) / 2, weights / 2
     entering = float(6 * du @ (u**5 * transmittance(eta, u**3)))  # μ = u³: nodes crowd where eta near 1 has a layer
     return 2 * eta**2 / entering - 1
 
