@@ -15,7 +15,7 @@ from bssrdf.fit.errors import Judged, judge
 from bssrdf.fit.finite import curve_off
 from bssrdf.fit.layout import Total
 from bssrdf.fit.models import Truth
-from bssrdf.fit.observe import NEAREST_MFP
+from bssrdf.fit.observe import NEAREST_MFP, seen_at, total_seen
 from bssrdf.fit.solve import REST, Solution, optimise, settle
 from bssrdf.fit.terms import Laid, Neighbours, Plan, Point, Problem, Weights, curve, lay, look
 from bssrdf.transport import R_ZERO, V_MAX
@@ -65,19 +65,33 @@ def sample_error(found: Solution, judged: Judged) -> Floats:
     return np.abs(moved)
 
 
-def sensitivities(plan: Plan, model: Light, found: Solution, judged: Judged, beside: Neighbours) -> dict[str, Floats]:
-    """d ln(σa, σs′) by η and g, as `d_ln_sigma_a_d_g`."""
+def sensitivities(
+    plan: Plan, model: Light, data: Problem, found: Solution, judged: Judged, beside: Neighbours
+) -> dict[str, Floats]:
+    """d ln(σa, σs′) by η and g, as `d_ln_sigma_a_d_g`: by the model, and for η by the slice's convention as well."""
     out = {}
+    point, here = found.point, look(E, plan, model, data, found.laid, found.point)
     for name, (other, step) in beside.items():
-        moved = np.zeros((found.point.q.shape[0], 2))
-        for k in range(len(plan.sights)):
-            aside, here = (np.maximum(curve(E, plan, m, found.laid, found.point, k)[0], 1e-300) for m in (other, model))
-            moved -= ((to_log(found.point.q) @ judged.answer[k][:, :2]) * np.log(aside / here)[:, None, :]).sum(2)
-        aside, here = (m.total(E, found.point.q)[0] for m in (other, model))
-        moved -= (to_log(found.point.q) @ judged.total_answer[:, :2, None])[:, :, 0] * np.log(aside / here)
+        factors = [step * by_eta if name == "eta" else 0.0 for _, by_eta in data.factor_slopes]
+        aside = look(E, plan, other, data, _seen_by(plan, other, data, found), point)
+        moved = np.zeros((point.q.shape[0], 2))
+        for k, factor in enumerate(factors):
+            change = np.log(np.maximum(aside.curves[k][0], 1e-300) / np.maximum(here.curves[k][0], 1e-300)) + factor
+            moved -= ((to_log(point.q) @ judged.answer[k][:, :2]) * change[:, None, :]).sum(2)
+        for k, each in zip(plan.totals, range(len(aside.totals)), strict=True):
+            change = np.log(aside.totals[each][0] / here.totals[each][0]) + factors[k]
+            moved -= (to_log(point.q) @ judged.total_answer[:, :2, None])[:, :, 0] * change / len(aside.totals)
         for column, key in enumerate(("sigma_a", "sigma_sp")):
             out[f"d_ln_{key}_d_{name}"] = moved[:, column] / step
     return out
+
+
+def _seen_by(plan: Plan, other: Light, data: Problem, found: Solution) -> Laid:
+    """What spot and camera make of another model's light at the point that was found."""
+    sights = zip(plan.sights, data.curves, strict=True)
+    seen = tuple(seen_at(E, sight, other, c, found.point.log_sigma, found.point.q) for sight, c in sights)
+    totals = tuple(total_seen(E, plan.sights[k], other, found.point.q) for k in plan.totals)
+    return found.laid._replace(seen=seen, total_seen=totals)
 
 
 class Bias(NamedTuple):

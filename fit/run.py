@@ -190,7 +190,7 @@ def _profiles(fitted: Fitted) -> dict[int, Profile]:
 
 
 def _slopes(fitted: Fitted) -> list[dict[str, float]]:
-    found = sensitivities(fitted.plan, fitted.model, fitted.found, fitted.judged, fitted.beside)
+    found = sensitivities(fitted.plan, fitted.model, fitted.data, fitted.found, fitted.judged, fitted.beside)
     return [{key: float(each[row]) for key, each in found.items()} for row in range(len(fitted.jobs))]
 
 

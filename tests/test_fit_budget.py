@@ -11,7 +11,7 @@ from functools import partial
 
 import numpy as np
 import pytest
-from builders import model_light, slice_of
+from builders import model_light, seen_slice, slice_of
 from scipy.stats import norm
 
 from bssrdf.fit.batch import Job, Options, fit_group
@@ -144,3 +144,14 @@ def test_a_profile_is_the_linear_interval_where_the_cost_is_a_parabola() -> None
     slope = 2 / one.found.point.q[0, 0] + cov / var_q  # of ln σa by q, with ln σt′ at its best
     ends = np.log([bounds.lower[0], bounds.upper[0]]) - np.log(bounds.sigma_a[0])
     np.testing.assert_allclose(ends, norm.ppf([0.025, 0.975]) * slope * np.sqrt(var_q), rtol=0.01)
+
+
+@pytest.mark.parametrize(("key", "step"), [("eta", 0.01), ("g", 0.02)])
+def test_sensitivity_is_what_a_fit_under_another_medium_finds(key: str, step: float) -> None:
+    """As a camera at 45° sees it, where η changes the convention and the law of exit as well as the light."""
+    here = seen_slice(0.0011, 2.55)
+    slices = [replace(here, **{key: getattr(here, key) + by}) for by in (0.0, step)]
+    fit, moved = (channels["G"] for channels in fit_slices(slices, FitOptions(model="mc")))
+    for name in ("sigma_a", "sigma_sp"):
+        found = np.log(getattr(moved, f"{name}_per_mm") / getattr(fit, f"{name}_per_mm")) / step
+        assert fit.sensitivity[f"d_ln_{name}_d_{key}"] == pytest.approx(found, rel=0.05, abs=0.02)
