@@ -9,8 +9,19 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 from bssrdf.transport.arrays import Engine
-from bssrdf.transport.finite import Sample, change, half_space, of_change, top_of, total_ratio
+from bssrdf.transport.finite import (
+    Sample,
+    change,
+    changes,
+    half_space,
+    level_of_change,
+    level_of_half_space,
+    of_change,
+    top_of,
+    total_ratio,
+)
 from bssrdf.transport.light import SMALLEST_Q, Light, Look, root_of_total
+from bssrdf.transport.slab import fine, rough
 
 CURVE_OFF = 0.015
 """Of the square of ln ratio, at all radii together: how far it departs from the engine's walks, +7 % at ln −2
@@ -62,34 +73,37 @@ def sampled(
     xp = e.xp
     top = top_of(model)
     half = half_space(e, top, q, xp.exp(log_sigma) * r)
-    step = xp.clip(sds.thickness, LEAST_STEP, MOST_STEP)
-    others = () if plain else _aside(e, dish, sample, step, sds.back)
-    every = Sample(*(xp.concatenate(each, axis=0) for each in zip(sample, *others, strict=True)))
-    n = 1 + len(others)
-    tiled = [xp.concatenate([each] * n, axis=0) for each in (log_sigma, q, r)]
-    less = change(e, dish, every, top, *tiled)
-    b = q.shape[0]
-    looks = [of_change(e, half, tuple(each[k * b : (k + 1) * b] for each in less)) for k in range(n)]
-    totals = xp.log(total_ratio(e, dish, every, top, *tiled[:2])[0]).reshape(n, b, 1)
-    here = looks[0]
+
+    def log_total(held: Sample) -> Any:
+        return xp.log(total_ratio(e, dish, held, top, log_sigma, q)[0])
+
+    here = of_change(e, half, change(e, dish, sample, top, log_sigma, q, r))
     aq = xp.maximum(xp.abs(q), SMALLEST_Q)
     zero = xp.zeros_like(here[0])
     laid = Sampled(
         *here[:2], here[2] * xp.sign(q) / (2 * aq), log_sigma, q * q,
-        zero, zero, zero, totals[0], 0 * q, 0 * q,
+        zero, zero, zero, log_total(sample), 0 * q, 0 * q,
     )  # fmt: skip
     if plain:
         return laid
-    moved = [(looks[k][0] - looks[k + 1][0]) / 2 for k in range(1, n, 2)]
-    total_moved = [(totals[k] - totals[k + 1]) / 2 for k in range(1, n, 2)]
+    step = xp.clip(sds.thickness, LEAST_STEP, MOST_STEP)
+    others = _aside(e, dish, sample, step, sds.back)
+    less = changes(e, dish, fine(), others, sample, top, log_sigma, q, r)
+    moved = _halves([level_of_change(e, half[0], each) for each in less])
+    total_moved = _halves([log_total(each) for each in others[:4]])
     share = sds.thickness / step
     return laid._replace(
         by_thickness=moved[0] * share,
         by_back=moved[1],
-        by_lengths=(moved[2] if dish else moved[0]) / step,
+        by_lengths=moved[-1 if dish else 0] / step,
         total_by_thickness=total_moved[0] * share,
         total_by_back=total_moved[1],
     )
+
+
+def _halves(pairs: list[Any]) -> list[Any]:
+    """Half the difference of each pair."""
+    return [(pairs[k] - pairs[k + 1]) / 2 for k in range(0, len(pairs), 2)]
 
 
 def _aside(e: Engine, dish: bool, sample: Sample, step: Any, back_sd: Any) -> tuple[Sample, ...]:
@@ -140,6 +154,6 @@ def scanned(e: Engine, model: Light, sample: Sample, log_sigma: Any, q: Any, r: 
     tiled = Sample(*(flat(each + 0 * log_sigma) for each in sample))
     radii = (r[:, None, :] + 0 * log_sigma[:, :, None]).reshape(b * s, -1)
     top = top_of(model)
-    half = half_space(e, top, flat(q), e.xp.exp(flat(log_sigma)) * radii)
-    found = of_change(e, half, change(e, False, tiled, top, flat(log_sigma), flat(q), radii))[0]
-    return found.reshape(b, s, -1)
+    half = level_of_half_space(e, top, flat(q), e.xp.exp(flat(log_sigma)) * radii)
+    (less,) = changes(e, False, rough(), (tiled,), tiled, top, flat(log_sigma), flat(q), radii)
+    return level_of_change(e, half, less).reshape(b, s, -1)

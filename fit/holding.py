@@ -10,7 +10,8 @@ import numpy as np
 
 from bssrdf.errors import InputError
 from bssrdf.session.records import Slice
-from bssrdf.transport.finite import DEEP, FARTHEST, Sample, air_back
+from bssrdf.transport.finite import DEEP, Sample
+from bssrdf.transport.slab import FARTHEST, air_back
 
 Kind = Literal["half", "slab", "dish"]
 THICKNESS_REL_SD = 0.02

@@ -16,20 +16,11 @@ from bssrdf.bench import finite_light
 from bssrdf.bench.finite_light import Case
 from bssrdf.fit.models import shipped_table
 from bssrdf.transport.arrays import NUMPY, JaxEngine
+from bssrdf.transport.dish import _bessel_k
 from bssrdf.transport.engine import MonteCarloMedium, simulate
-from bssrdf.transport.finite import (
-    FARTHEST,
-    MILNE,
-    Sample,
-    Top,
-    air_back,
-    half_space,
-    log_ratio,
-    milne,
-    top_of,
-    total_ratio,
-)
+from bssrdf.transport.finite import Sample, change, changes, half_space, log_ratio, top_of, total_ratio
 from bssrdf.transport.light import dipole, shape_of
+from bssrdf.transport.slab import FARTHEST, MILNE, Top, air_back, fine, milne, rough
 
 Floats = Any
 TOP = Top(1.07, 1.55)
@@ -163,6 +154,24 @@ def test_slopes_are_differences_and_both_engines_agree(name: str, q: float, x64:
 
 
 @pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize("q", [1e-6, 0.1, 1.4])
+def test_the_value_alone_is_that_with_slopes_for_samples_near_one_another(name: str, q: float) -> None:
+    dish, held = CASES[name]
+    place = (TOP, column(0.1), column(q), X[None])
+    near = [
+        held._replace(thickness_mm=1.3 * held.thickness_mm),
+        held._replace(thickness_mm=0.8 * held.thickness_mm, radius_mm=0.8 * held.radius_mm),
+        held._replace(back=held.back + 0.05),
+    ]
+    values = np.concatenate(changes(NUMPY, dish, fine(), near, held, *place))
+    expected = np.concatenate([change(NUMPY, dish, each, *place)[0] for each in near])
+    half = half_space(NUMPY, TOP, column(q), np.exp(0.1) * X[None])[0]
+    assert (abs(values - expected) < 2e-4 * half).all()
+    (roughly,) = changes(NUMPY, dish, rough(), [held], held, *place)
+    assert (abs(roughly - change(NUMPY, dish, held, *place)[0]) < 2e-4 * half + 1e-6 * half.max()).all()
+
+
+@pytest.mark.parametrize("name", CASES)
 def test_single_precision_is_finite_and_near(name: str) -> None:
     dish, held = CASES[name]
     single = jax.tree.map(lambda each: jnp.asarray(each, jnp.float32), held)
@@ -175,6 +184,12 @@ def test_single_precision_is_finite_and_near(name: str) -> None:
         for ours, other in zip(found, exact, strict=True):
             np.testing.assert_allclose(ours[:, :4], other[:, :4], rtol=0.02, atol=0.02)
         assert all(bool(jnp.isfinite(each).all()) for each in (*found, *total))
+
+
+def test_modified_bessel_functions_of_the_second_kind_are_scipy_s() -> None:
+    y = np.geomspace(0.4, 300, 200)
+    for ours, theirs in zip(_bessel_k(np, y), (special.k0e(y), special.k1e(y)), strict=True):
+        np.testing.assert_allclose(ours, theirs, rtol=1e-11)
 
 
 MEDIA = {

@@ -32,6 +32,11 @@ class Engine(Protocol):
         """The namespace: numpy or jax.numpy."""
         ...
 
+    @property
+    def special(self) -> Any:
+        """That of special functions: scipy's or jax's."""
+        ...
+
     def loop(
         self, go_on: Callable[[State], Any], body: Callable[[State, Fixed], State], state: State, fixed: Fixed
     ) -> State:
@@ -54,6 +59,12 @@ class NumpyEngine:
     @property
     def xp(self) -> Any:
         return np
+
+    @property
+    def special(self) -> Any:
+        from scipy import special
+
+        return special
 
     @staticmethod
     def loop(go_on: Callable[[State], Any], body: Callable[[State, Fixed], State], state: State, fixed: Fixed) -> State:
@@ -99,6 +110,12 @@ class JaxEngine:
     @property
     def xp(self) -> Any:
         return self._xp
+
+    @property
+    def special(self) -> Any:
+        from jax.scipy import special
+
+        return special
 
     def loop(
         self, go_on: Callable[[State], Any], body: Callable[[State, Fixed], State], state: State, fixed: Fixed
