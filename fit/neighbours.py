@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bssrdf.fit.errors import Judged, judge
-from bssrdf.fit.finite import curve_off
+from bssrdf.fit.finite import curve_off, total_off
 from bssrdf.fit.layout import Total
 from bssrdf.fit.models import Truth
 from bssrdf.fit.observe import NEAREST_MFP, seen_at, total_seen
@@ -55,14 +55,17 @@ def table_error(model: WhiteTable, data: Problem, found: Solution, judged: Judge
     return np.sqrt(np.square(by_knot * sd[:, None, :]).sum(2))
 
 
-def sample_error(found: Solution, judged: Judged) -> Floats:
-    """From what the ratio to a half space may be off by, in the curve; it stands in the interval too."""
+def sample_error(plan: Plan, found: Solution, judged: Judged) -> Floats:
+    """From what the ratio to a half space may be off by, in the curve and in R, which go one way; they stand in the
+    interval too."""
+    turn = to_log(found.point.q)
     moved = np.zeros((found.point.q.shape[0], 2))
     for laid, answer in zip(found.laid.samples, judged.answer, strict=True):
         if laid:
-            per_radius = to_log(found.point.q) @ answer[:, :2]
-            moved += (per_radius * curve_off(laid.log_ratio)[:, None, :]).sum(2)
-    return np.abs(moved)
+            moved += ((turn @ answer[:, :2]) * curve_off(laid)[:, None, :]).sum(2)
+    by_total = (turn @ judged.total_answer[:, :2, None])[:, :, 0]
+    offs = [total_off(found.laid.samples[k]) for k in plan.totals if found.laid.samples[k]]
+    return np.abs(moved) + np.abs(by_total) * np.max([np.zeros_like(found.point.q), *offs], axis=0)
 
 
 def sensitivities(

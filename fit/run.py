@@ -162,7 +162,7 @@ def _subset(fitted: Fitted, rows: np.ndarray) -> Fitted:
 def extra_of(fitted: Fitted, making: Making) -> Extra:
     """What further models say of a batch."""
     extra = Extra(_profiles(fitted), [{}] * len(fitted.jobs), _slopes(fitted), _others(fitted), None, True)
-    of_sample = sample_error(fitted.found, fitted.judged)
+    of_sample = sample_error(fitted.plan, fitted.found, fitted.judged)
     if isinstance(fitted.model, WhiteTable):
         error = np.hypot(of_sample, table_error(fitted.model, fitted.data, fitted.found, fitted.judged))
         return extra._replace(model_error=_by_name(error))

@@ -13,7 +13,7 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
-from bssrdf.fit.finite import TOTAL_OFF, Errors, Sampled, curve_off, further, q_of_sample, sampled, total_look
+from bssrdf.fit.finite import Errors, curve_off, further, q_of_sample, sampled, total_look, total_off
 from bssrdf.fit.layout import Curves, Sight, Total
 from bssrdf.fit.observe import (
     NEAREST_MFP,
@@ -289,13 +289,8 @@ def totals_of(e: Engine, plan: Plan, data: Problem, laid: Laid, seen: Looked) ->
     ):
         gaps.append(each.r / law - value)
         rows.append(xp.concatenate([by_s, by_q, xp.zeros_like(value), value * response], axis=1))
-        sds.append(xp.hypot(each.sd, total_off(e, laid.samples[k]) * each.r) if laid.samples[k] else each.sd)
+        sds.append(xp.hypot(each.sd, total_off(laid.samples[k]) * each.r) if laid.samples[k] else each.sd)
     return Gaps(tuple(gaps), tuple(rows), tuple(sds))
-
-
-def total_off(e: Engine, laid: Sampled) -> Any:
-    """Relative, (b, 1): what the ratio to a half space may be off by."""
-    return TOTAL_OFF * e.xp.abs(laid.log_total)
 
 
 def keeping(plan: Plan, totals: Gaps) -> tuple[Any, Any] | None:
@@ -371,7 +366,7 @@ def model_sd(e: Engine, plan: Plan, model: Light, data: Problem, laid: Laid, at:
     """What the model may be off by at each radius for itself."""
     relative: Any = model.relative_error
     if laid.samples[k]:
-        relative = e.xp.hypot(relative, 2 * curve_off(laid.samples[k].log_ratio))
+        relative = e.xp.hypot(relative, 2 * curve_off(laid.samples[k]))
     if plan.sights[k].camera:
         relative = e.xp.hypot(relative, exit_rel_sd(e, model, data.curves[k], e.xp.exp(at.log_sigma)))
     return value * relative
@@ -478,7 +473,7 @@ def _responses(
         elif error.source in OF_SAMPLE:
             response = getattr(laid.samples[k], f"by_{error.source}")
         elif error.source == "ratio":
-            response = curve_off(laid.samples[k].log_ratio)
+            response = curve_off(laid.samples[k])
         elif error.source == "exit":
             response = exit_modes(e, model, c, sigma)[error.mode]
         elif error.source == "table":

@@ -152,7 +152,7 @@ class Flag(StrEnum):
     NARROW_SAMPLE = (
         "narrow_sample",
         "fit",
-        "The dish's wall is nearer than 10 mean free paths; or than 3/σtr and not allowed for: σa is too high then.",
+        "The dish's wall is nearer than 12 mean free paths; or than 3/σtr and not allowed for: σa is too high then.",
     )
     NARROW_BAND = (
         "narrow_band",
