@@ -36,6 +36,19 @@ _BEYOND_REL_SD = 0.02
 
 
 @dataclass(frozen=True)
+class LightWithin:
+    """The light of an image in one channel within the frame [DN/s · mm²]."""
+
+    light: float
+    variance: float
+    frame_mm2: float
+    profile: RadialProfile
+    """Radiance over the distance from the spot, from the whole image."""
+    by_count: Array
+    """By the number of samples that were merged for its pixel."""
+
+
+@dataclass(frozen=True)
 class TotalReflectance:
     """All light of an image in one channel [DN/s · mm²], that beyond the frame included, and what it is made of."""
 
@@ -45,21 +58,16 @@ class TotalReflectance:
     """Share of `light` that left the frame."""
     floor: Estimate
     """Veiling glare [DN/s] that was taken off every pixel."""
-    profile: RadialProfile
-    """Radiance over the distance from the spot, from the whole image."""
-    light_by_count: Array
-    """Light within the frame by the number of samples that were merged for its pixel."""
+    within: LightWithin
+
+    @property
+    def profile(self) -> RadialProfile:
+        """Radiance over the distance from the spot, from the whole image."""
+        return self.within.profile
 
 
-def total_light(
-    image: Image, channel: str, spot: Spot, surroundings: Surroundings, *, glare: bool, per_light: float | None = None
-) -> TotalReflectance:
-    """Σ p A_px over the frame, with what the tail of the curve says of the light outside.
-
-    Pixels without a value count as their distance from the beam makes them. With `glare` a floor over the whole frame
-    is taken for veiling glare and subtracted; `per_light` = 1/KΦ, where known, then helps to tell it from the sample's
-    own light.
-    """
+def light_within(image: Image, channel: str, spot: Spot) -> LightWithin:
+    """Σ p A_px over the frame; pixels without a value count as their distance from the beam makes them."""
     blocks = blocks_of(image, channel, spot)
     across, along = image.surface.centred(blocks.x_px, blocks.y_px, (spot.x_px, spot.y_px))
     area = image.surface.pixel_area_mm2(blocks.x_px, blocks.y_px) * image.px_per_sample[channel]
@@ -67,13 +75,29 @@ def total_light(
     missing = np.where(blocks.n > 0, blocks.value, curve.curve()(np.hypot(across, along)))
     inside = float(np.sum((blocks.light + blocks.n_missing * missing) * area))
     variance = float(np.sum(np.where(blocks.n > 0, blocks.variance, 0.0) * (blocks.n * area) ** 2))
-    by_count = light_by_count(image, channel)
-
-    outline = image.outline(spot)
     frame = float(np.sum((blocks.n + blocks.n_missing) * area))
+    return LightWithin(inside, variance, frame, curve, light_by_count(image, channel))
+
+
+def total_light(
+    image: Image,
+    spot: Spot,
+    within: LightWithin,
+    surroundings: Surroundings,
+    *,
+    glare: bool,
+    per_light: float | None = None,
+) -> TotalReflectance:
+    """The light within the frame, with what the tail of the curve says of that outside.
+
+    With `glare` a floor over the whole frame is taken for veiling glare and subtracted; `per_light` = 1/KΦ, where
+    known, then helps to tell it from the sample's own light.
+    """
+    inside, curve, variance = within.light, within.profile, within.variance
+    outline = image.outline(spot)
 
     def outside_of(tail: Tail) -> float:
-        return tail.beyond(outline) - tail.floor * frame
+        return tail.beyond(outline) - tail.floor * within.frame_mm2
 
     reach, boundary = float(np.hypot(*outline).min()), surroundings.boundary()
     fit = fit_tail(curve, reach, boundary, with_floor=glare)
@@ -83,12 +107,12 @@ def total_light(
                 attenuation = surroundings.attenuation((inside + outside_of(fit.tail)) * per_light)
                 fit = fit_tail(curve, reach, boundary, with_floor=True, attenuation=attenuation)
     if fit is None:
-        return TotalReflectance(inside, float(np.sqrt(variance)), 0.0, Estimate(0.0, 0.0), curve, by_count)
+        return TotalReflectance(inside, float(np.sqrt(variance)), 0.0, Estimate(0.0, 0.0), within)
     outside = fit.estimate(outside_of)
     beyond = fit.tail.beyond(outline)
     light = inside + outside.value
     sd = float(np.sqrt(variance + outside.sd**2 + (_BEYOND_REL_SD * beyond) ** 2))
-    return TotalReflectance(light, sd, beyond / light, fit.estimate(lambda tail: tail.floor), curve, by_count)
+    return TotalReflectance(light, sd, beyond / light, fit.estimate(lambda tail: tail.floor), within)
 
 
 def evident_floor(

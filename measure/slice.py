@@ -25,6 +25,7 @@ from bssrdf.measure.reflectance import (
     channel_slice,
     doubted,
     evident_floor,
+    light_within,
     rounded,
     slice_profiles,
     total_light,
@@ -193,16 +194,17 @@ def _light(
     0 is that of darks brighter than black in the frames, and goes; one above 0 stays, unless it was asked for, and is
     doubted.
     """
-    total = total_light(image, channel, spot, around, glare=False)
+    within = light_within(image, channel, spot)
+    total = total_light(image, spot, within, around, glare=False)
     if hidden > 0:
         return rounded(total, hidden, image, spot), [Flag.COARSE_STEPS]
     per_light = per_light or reflects / total.light
     if options.glare:
-        return total_light(image, channel, spot, around, glare=True, per_light=per_light), []
+        return total_light(image, spot, within, around, glare=True, per_light=per_light), []
     floor = evident_floor(image, spot, around, total, per_light)
     if floor is None:
         return total, []
-    without = total_light(image, channel, spot, around, glare=True, per_light=per_light)
+    without = total_light(image, spot, within, around, glare=True, per_light=per_light)
     if floor.value < 0:
         return without, [Flag.BLACK_OFFSET]
     total, notable = doubted(total, without, floor)

@@ -45,7 +45,7 @@ def common_errors(
 ) -> list[float]:
     """Independent relative errors of what the beam carries, as it is compared with the sample: of curve and total."""
     sample, reference = (
-        exposure_shares(total.light_by_count, timing[kind].labels_s, timing[kind].seconds) if kind in timing else {}
+        exposure_shares(total.within.by_count, timing[kind].labels_s, timing[kind].seconds) if kind in timing else {}
         for kind, total in (("sample", back), ("reference", incident))
     )
     return [
