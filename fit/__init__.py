@@ -17,12 +17,12 @@ if TYPE_CHECKING:
     from bssrdf.fit.models import Making as Making
     from bssrdf.fit.models import shipped_table as shipped_table
     from bssrdf.fit.models import tabulated as tabulated
+    from bssrdf.fit.problem import Constraint as Constraint
     from bssrdf.fit.run import SILENT as SILENT
     from bssrdf.fit.run import FitOptions as FitOptions
     from bssrdf.fit.run import fit_joint as fit_joint
     from bssrdf.fit.run import fit_slice as fit_slice
     from bssrdf.fit.run import fit_slices as fit_slices
-    from bssrdf.fit.terms import Constraint as Constraint
     from bssrdf.fit.verdict import FEWEST as FEWEST
     from bssrdf.fit.verdict import MAX_LOST as MAX_LOST
     from bssrdf.fit.verdict import MOST_PULL as MOST_PULL

@@ -15,8 +15,19 @@ from bssrdf.fit.errors import SCATTERED, Judged, judge
 from bssrdf.fit.holding import Held, held, samples_of
 from bssrdf.fit.layout import Curves, camera_factor, curves_of, nodes_of, sight_of, total_of
 from bssrdf.fit.models import Making, beam_of, beside, table_of_medium
+from bssrdf.fit.problem import (
+    EXIT_MODES,
+    TABLE_MODES,
+    Constraint,
+    Neighbours,
+    Plan,
+    Point,
+    Problem,
+    Sds,
+    Shared,
+    Source,
+)
 from bssrdf.fit.solve import REST, Solution, optimise, settle, start, starts_of
-from bssrdf.fit.terms import EXIT_MODES, TABLE_MODES, Constraint, Neighbours, Plan, Point, Problem, Sds, Shared, Source
 from bssrdf.session.records import Slice
 from bssrdf.transport import NORMAL, Policy
 from bssrdf.transport.arrays import NUMPY, picked, replaced

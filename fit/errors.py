@@ -12,21 +12,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from bssrdf.fit.laying import look
+from bssrdf.fit.problem import Gaps, Plan, Problem
 from bssrdf.fit.solve import Solution
-from bssrdf.fit.terms import (
-    Gaps,
-    Plan,
-    Problem,
-    elimination,
-    keeping,
-    look,
-    model_sd,
-    rows_of,
-    squares,
-    system,
-    totals_of,
-    window,
-)
+from bssrdf.fit.terms import elimination, keeping, model_sd, rows_of, squares, system, totals_of, window
 from bssrdf.transport.arrays import Engine
 from bssrdf.transport.light import Light
 

@@ -30,8 +30,8 @@ TOTAL_OFF = 0.01
 """Of the logarithm of the total's."""
 WALL_MFP, WALL_OFF = 10.0, 0.12
 """A dish's wall as near as this takes that much more of ln ratio than diffusion says, and of the total's as much again
-as TOTAL_OFF; one farther away less, by the square. The engine's walks of 2.5 million photons, at 10.5 mean free paths:
-7 ± 1 % (black) and 13 ± 2 % (air) of the curve's, R 0.35 ± 0.05 % lower; at 17.5 and 28 none is seen, to 1.5 %."""
+as TOTAL_OFF; one farther away less, by the square. The engine's walks of 3.5 million photons, at 10.5 mean free paths:
+7 ± 1 % (black) and 14 ± 1 % (air) of the curve's, R 0.33 ± 0.04 % lower; at 17.5 and 28 none is seen, to 1.5 %."""
 LEAST_STEP, MOST_STEP = 1e-3, 0.3
 """Of a depth, over which a difference is taken."""
 MOST_AHEAD = 1.0

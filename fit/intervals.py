@@ -11,8 +11,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from bssrdf.fit.problem import Plan, Problem
 from bssrdf.fit.solve import REST, Solution, optimise
-from bssrdf.fit.terms import Plan, Problem
 from bssrdf.transport.arrays import NUMPY
 from bssrdf.transport.light import Light, coefficients
 

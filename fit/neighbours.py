@@ -13,11 +13,12 @@ from numpy.typing import NDArray
 
 from bssrdf.fit.errors import Judged, judge
 from bssrdf.fit.finite import curve_off, total_off
+from bssrdf.fit.laying import curve, lay, look
 from bssrdf.fit.layout import Total
 from bssrdf.fit.models import Truth
 from bssrdf.fit.observe import NEAREST_MFP, seen_at, total_seen
+from bssrdf.fit.problem import Laid, Neighbours, Plan, Point, Problem, Weights
 from bssrdf.fit.solve import REST, Solution, optimise, settle
-from bssrdf.fit.terms import Laid, Neighbours, Plan, Point, Problem, Weights, curve, lay, look
 from bssrdf.transport import R_ZERO, V_MAX
 from bssrdf.transport.arrays import NUMPY
 from bssrdf.transport.light import Light, WhiteTable, coefficients, dipole, shape_of

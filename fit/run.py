@@ -24,8 +24,8 @@ from bssrdf.fit.models import (
     truth_of,
 )
 from bssrdf.fit.neighbours import bias, dipole_on_light, refitted, sample_error, sensitivities, table_error, to_log
+from bssrdf.fit.problem import Constraint
 from bssrdf.fit.sample_verdict import is_thin
-from bssrdf.fit.terms import Constraint
 from bssrdf.fit.verdict import FEWEST, Extra, channel_fits, covariances, needs_profile
 from bssrdf.session.flags import Flag
 from bssrdf.session.records import ChannelFit, Slice

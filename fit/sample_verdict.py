@@ -23,7 +23,7 @@ LOST, LOST_ON_BLACK = 4.0, 6.0
 DARK = 0.4
 """Of a half space's R: σa that comes out far too high makes a bright medium look this much darker."""
 NARROW = 12.0
-"""Mean free paths to a dish's wall: at 10.5 σa of skim milk comes out 14 % too high, at 17.5 right."""
+"""Mean free paths to a dish's wall: at 10.5 σa of skim milk comes out 13 % too high, at 17.5 right."""
 REACH = 3.0
 """In diffuse mean free paths 1/σtr: as deep and wide a sample loses little light where nothing is allowed for."""
 MOST_UNKNOWN = 0.5

@@ -11,32 +11,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from bssrdf.fit.finite import q_of_sample, scanned
+from bssrdf.fit.laying import answering, costly, curve, lay, lay_plainly, look
 from bssrdf.fit.layout import Total
-from bssrdf.fit.terms import (
-    Gaps,
-    Laid,
-    Looked,
-    Neighbours,
-    Plan,
-    Point,
-    Problem,
-    System,
-    Weights,
-    answering,
-    cost_at,
-    costly,
-    curve,
-    elimination,
-    held_any,
-    keeping,
-    lay,
-    lay_plainly,
-    look,
-    meeting,
-    system,
-    totals_of,
-    weigh,
-)
+from bssrdf.fit.problem import Gaps, Laid, Looked, Neighbours, Plan, Point, Problem, System, Weights, held_any
+from bssrdf.fit.terms import cost_at, elimination, keeping, meeting, system, totals_of, weigh
 from bssrdf.transport import R_MAX
 from bssrdf.transport.arrays import Engine
 from bssrdf.transport.finite import Sample

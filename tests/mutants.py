@@ -198,14 +198,14 @@ PHYSICS = (
 ERRORS = (
     Mutant(
         "(a) a length error forgets R_d's 1/mm²",
-        "fit/terms.py",
+        "fit/laying.py",
         "response = _relative(xp, looks[k][1], looks[k][0])",
         "response = _relative(xp, looks[k][1], looks[k][0]) - 2",
         ("fit::a_length_error_moves_both", "fit_budget::a_share_of_the_budget"),
     ),
     Mutant(
         "(b) an error of scale leaves R where it is",
-        "fit/terms.py",
+        "fit/laying.py",
         "response = sds.scale + 0 * at.q",
         "response = 0 * at.q",
         ("fit_budget::a_share_of_the_budget",),
@@ -219,14 +219,14 @@ ERRORS = (
     ),
     Mutant(
         "an error of the view angle forgets the pixels' foreshortening",
-        "fit/terms.py",
+        "fit/laying.py",
         "response = sds.view * (tilt + view) * one",
         "response = sds.view * view * one",
         ("fit_budget::a_share_of_the_budget",),
     ),
     Mutant(
         "an error of η forgets the surface's transmittance in R",
-        "fit/terms.py",
+        "fit/laying.py",
         "aside = xp.log(other.total(e, at.q)[0] / model.total(e, at.q)[0]) / step\n"
         '            response = getattr(sds, error.source) * (aside + (by_eta if error.source == "eta" else 0.0))',
         "aside = xp.log(other.total(e, at.q)[0] / model.total(e, at.q)[0]) / step\n"

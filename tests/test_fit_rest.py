@@ -17,9 +17,9 @@ from bssrdf.fit.batch import BATCH, Fitted, Job, Options, fit_group
 from bssrdf.fit.compiled import settled
 from bssrdf.fit.models import Making
 from bssrdf.fit.neighbours import refitted, table_error
+from bssrdf.fit.problem import Point, Weights
 from bssrdf.fit.run import FitOptions, fit_slices
 from bssrdf.fit.solve import settle
-from bssrdf.fit.terms import Point, Weights
 from bssrdf.session.records import Slice
 from bssrdf.transport.arrays import NUMPY, picked
 from bssrdf.transport.dipole import Medium, rd, total_r
