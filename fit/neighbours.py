@@ -82,7 +82,7 @@ def sensitivities(
         for k, factor in enumerate(factors):
             change = np.log(np.maximum(aside.curves[k][0], 1e-300) / np.maximum(here.curves[k][0], 1e-300)) + factor
             moved -= ((to_log(point.q) @ judged.answer[k][:, :2]) * change[:, None, :]).sum(2)
-        for k, each in zip(plan.totals, range(len(aside.totals)), strict=True):
+        for each, k in enumerate(plan.totals):  # none without R, of which one is looked at all the same
             change = np.log(aside.totals[each][0] / here.totals[each][0]) + factors[k]
             moved -= (to_log(point.q) @ judged.total_answer[:, :2, None])[:, :, 0] * change / len(aside.totals)
         for column, key in enumerate(("sigma_a", "sigma_sp")):
