@@ -33,7 +33,7 @@ _MOST_TICKS, _MOST_DECADES = 8, 9
 _RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
-class Key(NamedTuple):
+class LegendEntry(NamedTuple):
     """A line of the legend: its words, and a dot, or a dotted line, in its colour."""
 
     text: str
@@ -65,7 +65,7 @@ class Chart:
         if 0 <= row < len(self._inside):
             self._inside[row, np.arange(self._inside.shape[1]) % 3 == 0] = colour
 
-    def png(self, x_label: str, y_label: str, title: str, keys: Sequence[Key]) -> bytes:
+    def png(self, x_label: str, y_label: str, title: str, keys: Sequence[LegendEntry]) -> bytes:
         """The chart with its axes, what they are called, and the legend, as a PNG."""
         canvas = np.full((_SIZE_PX[1], _SIZE_PX[0], 3), 255, np.uint8)
         canvas[_TOP:_BOTTOM, _LEFT:_RIGHT] = self._inside
@@ -116,7 +116,7 @@ class Chart:
             draw.text((_LEFT - 10, y_px), f"{digit}·10{str(decade).translate(_RAISED)}", BLACK, _font(), "rm")
 
 
-def _draw_legend(draw: ImageDraw.ImageDraw, title: str, keys: Sequence[Key]) -> None:
+def _draw_legend(draw: ImageDraw.ImageDraw, title: str, keys: Sequence[LegendEntry]) -> None:
     """In the corner that a curve which falls from the middle or the left leaves free."""
     lines = [key.text for key in keys]
     width = max(draw.textlength(title, _font()), *(_KEY_PX + draw.textlength(line, _font()) for line in lines)) + 20

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from bssrdf.measure.chart import GREY, Chart, Key
+from bssrdf.measure.chart import GREY, Chart, LegendEntry
 from bssrdf.measure.image import Image
 from bssrdf.measure.scene import Marks, light_of, marks_of, picture, saturation_map
 from bssrdf.session import atomic_write
@@ -34,7 +34,7 @@ def write_slice_png(path: Path, curve: Slice) -> None:
     x, value, sd = np.concatenate([np.stack(part)[:, part[1] > 0] for part in bins.values()], axis=1)
     bottom = max(_lowest(curve) / 3, _LEAST) if value.size else _LEAST
     chart = Chart((x.min(initial=0.0), x.max(initial=0.0)), (bottom, (value + sd).max(initial=10 * bottom)))
-    keys = [Key("noise floor, 1 sd", GREY, is_dot=False)]
+    keys = [LegendEntry("noise floor, 1 sd", GREY, is_dot=False)]
     for number, (name, (x, value, sd)) in enumerate(bins.items()):
         lit = value > 0
         colour = _COLOURS.get(name, _OTHERS[number % len(_OTHERS)])
@@ -43,7 +43,7 @@ def write_slice_png(path: Path, curve: Slice) -> None:
         if floor := _floor(x, sd):
             chart.dotted(floor, colour)
         total = f", R seen {curve.total_r[name]:.3f}" if name in curve.total_r else ""
-        keys.append(Key(f"{name}{total}", colour, is_dot=True))
+        keys.append(LegendEntry(f"{name}{total}", colour, is_dot=True))
     with atomic_write(path) as unfinished:
         unfinished.write_bytes(chart.png("distance from the beam, mm", "R_d, 1/mm²", curve.material or "", keys))
 

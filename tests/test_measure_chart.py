@@ -7,14 +7,14 @@ import io
 import numpy as np
 from PIL import Image
 
-from bssrdf.measure.chart import Chart, Key
+from bssrdf.measure.chart import Chart, LegendEntry
 
 RED, BLUE = (255, 0, 0), (0, 0, 255)
 
 
 def _rows(chart: Chart, colour: tuple[int, int, int]) -> np.ndarray:
     """Rows of the picture, its legend empty, that hold a colour."""
-    picture = np.asarray(Image.open(io.BytesIO(chart.png("x", "y", "", [Key("", (0, 0, 0), is_dot=False)]))))
+    picture = np.asarray(Image.open(io.BytesIO(chart.png("x", "y", "", [LegendEntry("", (0, 0, 0), is_dot=False)]))))
     strength = picture.astype(int) @ np.where(colour, 2, -1)  # 0 of grey; a line half on a pixel is half as strong
     return np.flatnonzero((strength > 200).any(axis=1))
 
