@@ -12,6 +12,10 @@ if TYPE_CHECKING:
     from bssrdf.fit.forward import Forward as Forward
     from bssrdf.fit.forward import forward_curve as forward_curve
     from bssrdf.fit.free_g import fit_g as fit_g
+    from bssrdf.fit.holding import BLACK as BLACK
+    from bssrdf.fit.holding import HALF_SPACE as HALF_SPACE
+    from bssrdf.fit.holding import NEAR_WALL as NEAR_WALL
+    from bssrdf.fit.holding import Held as Held
     from bssrdf.fit.holding import held as held
     from bssrdf.fit.models import RULE as RULE
     from bssrdf.fit.models import Making as Making

@@ -99,13 +99,14 @@ def total_light(
     def outside_of(tail: Tail) -> float:
         return tail.beyond(outline) - tail.floor * within.frame_mm2
 
-    reach, boundary = float(np.hypot(*outline).min()), surroundings.boundary()
-    fit = fit_tail(curve, reach, boundary, with_floor=glare)
+    where = curve, float(np.hypot(*outline).min()), surroundings.boundary()
+    holder = surroundings.holder
+    fit = fit_tail(*where, with_floor=glare, holder=holder)
     if glare and per_light is not None:
         for _ in range(_GLARE_PASSES):
             if fit is not None:
-                attenuation = surroundings.attenuation((inside + outside_of(fit.tail)) * per_light)
-                fit = fit_tail(curve, reach, boundary, with_floor=True, attenuation=attenuation)
+                attenuation = surroundings.attenuation_by_mfp((inside + outside_of(fit.tail)) * per_light)
+                fit = fit_tail(*where, with_floor=True, attenuation=attenuation, holder=holder)
     if fit is None:
         return TotalReflectance(inside, float(np.sqrt(variance)), 0.0, Estimate(0.0, 0.0), within)
     outside = fit.estimate(outside_of)
@@ -119,9 +120,9 @@ def evident_floor(
     image: Image, spot: Spot, surroundings: Surroundings, total: TotalReflectance, per_light: float
 ) -> Estimate | None:
     """The even floor [DN/s], of either sign, that lies under the tail of a curve clear of its error; None if none."""
-    attenuation = surroundings.attenuation(total.light * per_light)
-    reach = float(np.hypot(*image.outline(spot)).min())
-    fit = fit_tail(total.profile, reach, surroundings.boundary(), with_floor=True, attenuation=attenuation)
+    attenuation = surroundings.attenuation_by_mfp(total.light * per_light)
+    where = total.profile, float(np.hypot(*image.outline(spot)).min()), surroundings.boundary()
+    fit = fit_tail(*where, with_floor=True, attenuation=attenuation, holder=surroundings.holder)
     if fit is None or fit.chi2 > _FITS:
         return None
     floor = fit.estimate(lambda tail: tail.floor)

@@ -9,6 +9,7 @@ import numpy as np
 
 from bssrdf.calib import Exposures, Spot
 from bssrdf.errors import InputError
+from bssrdf.fit import Held, held
 from bssrdf.measure.image import (
     Image,
     beam_on_sample,
@@ -89,7 +90,7 @@ def measure_slice(
     material, geometry, tile = _tables(session)
     spots = sample.spot, reference.spot
     angles = geometry.view_angle_deg, session.beam.incidence_deg
-    around = Surroundings(max(material.eta, 1.0), max(material.g or 0.0, 0.0), *angles)
+    around = Surroundings(max(material.eta, 1.0), max(material.g or 0.0, 0.0), *angles, _held(session, material))
     around_tile = Surroundings(_TILE_ETA, 0.0, *angles)
     beam = beam_on_sample(sample, *spots, coplanar=tile.coplanar)
     flags = _image_flags(session, sample, reference, spots)
@@ -175,6 +176,13 @@ def measure_slice(
         flags=tuple(dict.fromkeys(flags)),
         provenance={"isophotes": isophotes.told(geometry.view_angle_deg)} if isophotes.aspects else {},
     )
+
+
+def _held(session: Session, material: Material) -> Held:
+    """How the sample is held, as the fit will take it; InputError where that is impossible."""
+    of_beam = {key: getattr(session.beam, key) for key in ("incidence_deg", "spot_radius_mm")}
+    of_sample = {key: getattr(material, key) for key in SAMPLE_KEYS}
+    return held(Slice({}, material.eta, "incident", "fresnel", **of_beam, **of_sample))
 
 
 def _light(

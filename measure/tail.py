@@ -3,19 +3,22 @@
 Some mean free paths from the beam, light leaves as diffusion has it with the boundary's fluence φ and flux J
 (Kienle & Patterson 1997, J. Opt. Soc. Am. A 14, 246): L ∝ φ + 3μ′J towards a camera that sees the inside under the
 cosine μ′, from a source one mean free path deep and its negative image above the extrapolated boundary. What lies
-beyond a line around the beam is a single integral along that line.
+beyond a line around the beam is a single integral along that line. What holds a
+sample comes in as a ratio (`holder`).
 """
 
 from __future__ import annotations
 
 import functools
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 from scipy.optimize import brentq, least_squares
 
+from bssrdf.fit import HALF_SPACE, NEAR_WALL, Held
+from bssrdf.measure.holder import Holder
 from bssrdf.measure.profile import RadialProfile
 from bssrdf.session.records import Array
 from bssrdf.transport import decay_constant, half_space
@@ -35,6 +38,12 @@ _MOST_STEP = 0.01
 _ORDINATES = 16
 _LOG_LOSS = (-14.0, -0.5)
 """Range of ln(1 − α′) in which a total is looked up."""
+_TOTALS = 41
+"""Of half spaces in that range, between which those of a finite sample are interpolated."""
+_NOTHING_LEFT = 12.0
+"""Thicknesses farther out, on the whitest back, light has fallen to e⁻⁸."""
+_RINGS = 1000
+_DEEP = Holder(HALF_SPACE, 1.0)
 
 
 class Boundary(NamedTuple):
@@ -51,6 +60,11 @@ class Surroundings(NamedTuple):
     g: float
     view_angle_deg: float
     incidence_deg: float
+    held: Held = HALF_SPACE
+
+    @property
+    def holder(self) -> Holder:
+        return Holder(self.held, self.eta)
 
     def boundary(self) -> Boundary:
         inside = np.sin(np.radians(self.view_angle_deg)) / self.eta
@@ -58,23 +72,44 @@ class Surroundings(NamedTuple):
 
     def attenuation(self, total: float) -> float:
         """σtr times the mean free path of the half space whose total, as this camera sees it, is `total`."""
-        loss = self.loss(total)
+        return self._attenuation(self.loss(total))
+
+    def _attenuation(self, loss: float) -> float:
         return decay_constant(self._albedo(loss), self.g) * (1 + self.g / (1 - self.g) * (1 - loss))
+
+    def attenuation_by_mfp(self, total: float) -> Callable[[float], float]:
+        """The same of the sample as it is held, which hangs on its mean free path [mm], too."""
+        if self.held.kind == "half":
+            of_half_space = self.attenuation(total)
+            return lambda mfp: of_half_space
+        log_loss = np.linspace(*_LOG_LOSS, _TOTALS)
+        seen = np.array([self._seen(each) for each in log_loss])
+        q = np.array([self._attenuation(np.exp(each)) for each in log_loss])
+
+        def attenuation(mfp: float) -> float:
+            totals = seen * self.holder.total_ratio(mfp, q)
+            return float(np.exp(np.interp(-total, -totals, np.log(q))))
+
+        return attenuation
 
     @functools.lru_cache(maxsize=32)  # noqa: B019 - a tuple of numbers, and few of them
     def loss(self, total: float) -> float:
         """1 − α′ of that half space; the least or most that is looked for where none has this total."""
-        cosines = np.array([np.cos(np.radians(self.view_angle_deg))])
-        entering = float(transmittance(self.eta, np.cos(np.radians([self.incidence_deg])))[0])
 
         def excess(log_loss: float) -> float:
-            seen = half_space(self._albedo(np.exp(log_loss)), self.g, self.eta, cosines, _ORDINATES).radiance[0]
-            return float(entering * seen) - total
+            return self._seen(log_loss) - total
 
         low, high = _LOG_LOSS
         if not excess(high) < 0 < excess(low):
             return float(np.exp(low if total > 0.5 else high))
         return float(np.exp(brentq(excess, low, high, xtol=1e-4)))
+
+    def _seen(self, log_loss: float) -> float:
+        """Total of a half space as this camera sees it."""
+        cosines = np.array([np.cos(np.radians(self.view_angle_deg))])
+        entering = float(transmittance(self.eta, np.cos(np.radians([self.incidence_deg])))[0])
+        seen = half_space(self._albedo(np.exp(log_loss)), self.g, self.eta, cosines, _ORDINATES).radiance[0]
+        return float(entering * seen)
 
     def _albedo(self, loss: float) -> float:
         scattering = (1 - loss) / (1 - self.g)
@@ -122,6 +157,30 @@ class Tail:
         return self.scale * abs(float(np.trapezoid(fluence + 3 * self.boundary.cosine * flux, angle)))
 
 
+@dataclass(frozen=True)
+class TailOfSample(Tail):
+    """The same of a slab or a dish."""
+
+    holder: Holder
+    n_modes: int
+
+    def _light(self, r: Array) -> Array:
+        ratio = self.holder.ratio(r, self.mfp, self.sigma_tr * self.mfp, self.n_modes)
+        return (super().__call__(r) - self.floor) * ratio
+
+    def __call__(self, r: Array) -> Array:
+        return self._light(r) + self.floor
+
+    def beyond(self, outline: tuple[Array, Array]) -> float:
+        r = np.minimum(np.hypot(*outline), self.holder.held.radius)
+        farthest = min(float(r.max()) + _NOTHING_LEFT * self.holder.thickness, self.holder.held.radius)
+        rings = np.geomspace(float(r.min()), farthest, _RINGS)
+        light = self._light(rings) * rings**2
+        inner = np.append(0.0, np.cumsum((light[1:] + light[:-1]) / 2 * np.diff(np.log(rings))))
+        angle = np.unwrap(np.arctan2(outline[1], outline[0]))
+        return abs(float(np.trapezoid(inner[-1] - np.interp(r, rings, inner), angle)))
+
+
 class Estimate(NamedTuple):
     """A number with its standard error."""
 
@@ -151,14 +210,23 @@ class TailFit:
 
 
 def fit_tail(
-    profile: RadialProfile, reach: float, boundary: Boundary, *, with_floor: bool, attenuation: float | None = None
+    profile: RadialProfile,
+    reach: float,
+    boundary: Boundary,
+    *,
+    with_floor: bool,
+    attenuation: Callable[[float], float] | None = None,
+    holder: Holder = _DEEP,
 ) -> TailFit | None:
     """The tail of a curve seen round a beam that is `reach` from the nearest edge; None where there is too little.
 
-    A floor is hard to tell from a slower decay. `attenuation`, σtr times the mean free path by the total reflectance,
-    helps to.
+    A floor is hard to tell from a slower decay. `attenuation`, σtr times the mean free path by the total reflectance
+    where that path is so many mm, helps to.
     """
+    reach = min(reach, NEAR_WALL * holder.held.radius)
     outer = (profile.r > _INNER_SHARE * reach) & np.isfinite(profile.sd)
+    outer &= profile.r < NEAR_WALL * holder.held.radius
+    n_modes = holder.modes(_INNER_SHARE * reach)
     r, value = profile.r[outer], profile.value[outer]
     model_sd = _MODEL_REL_SD * np.sqrt(max(1.0, len(r) / _MODEL_FREEDOM))
     sd = np.hypot(profile.sd[outer], model_sd * value)
@@ -172,8 +240,10 @@ def fit_tail(
 
     def make(p: Array) -> Tail:
         unit = Tail(1.0, float(np.exp(p[1])), float(np.exp(p[2])), 0.0, boundary)
+        if n_modes is not None:
+            unit = TailOfSample(1.0, unit.sigma_tr, unit.mfp, 0.0, boundary, holder, n_modes)
         scale = float(np.exp(p[0])) * first / float(unit(r[:1])[0])
-        return Tail(scale, unit.sigma_tr, unit.mfp, below + float(p[3]) * first if with_floor else 0.0, boundary)
+        return replace(unit, scale=scale, floor=below + float(p[3]) * first if with_floor else 0.0)
 
     n = 4 if with_floor else 3
     low = [-20.0, np.log(1e-4 / reach), np.log(1e-3 * reach), -1.0][:n]
@@ -184,7 +254,7 @@ def fit_tail(
         by_curve = (make(p)(r) - value) / sd
         if attenuation is None:
             return by_curve
-        return np.append(by_curve, (p[1] + p[2] - np.log(attenuation)) / _ATTENUATION_REL_SD)
+        return np.append(by_curve, (p[1] + p[2] - np.log(attenuation(float(np.exp(p[2]))))) / _ATTENUATION_REL_SD)
 
     solved = least_squares(residual, start, bounds=(low, high))
     covariance = np.linalg.pinv(solved.jac.T @ solved.jac)

@@ -125,10 +125,10 @@ def _bench(plan: Path, rig: Path | None, simulate: bool, truth: Path | None = No
     if rig is not None:
         raise UsageError(f"--simulate brings its own bench; leave out --rig {rig}")
     from bssrdf.rig.sim.launch import simulated_bench
-    from bssrdf.rig.sim.media import published_sample, white_tile
+    from bssrdf.rig.sim.media import sample_of, white_tile
     from bssrdf.rig.sim.scene import BenchScene
 
-    scene = BenchScene(published_sample(read_plan(plan).material.name), white_tile())
+    scene = BenchScene(sample_of(read_plan(plan).material), white_tile())
     with simulated_bench(scene) as bench:
         if truth is not None:
             truth.parent.mkdir(parents=True, exist_ok=True)

@@ -95,7 +95,7 @@ def test_a_diffuse_back_adds_what_passes_to_and_fro_under_the_slab():
     tallies = [
         simulate(
             MonteCarloMedium(**slab, backing="matched"),
-            Beam(incidence_deg=float(np.degrees(np.arccos(np.sqrt((1 + node) / 2))))),
+            IncidentBeam(incidence_deg=float(np.degrees(np.arccos(np.sqrt((1 + node) / 2))))),
             r_edges_mm=[0, 1],
             n_photons=30_000,
             seed=20,

@@ -2,20 +2,26 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 from near_world import NearWorld
 
-from bssrdf.rig.sim.light import seen_light
-from bssrdf.rig.sim.media import SampleMedium, r_edges_mfp, unit_medium
+from bssrdf.errors import InputError
+from bssrdf.rig.sim.light import light_key, seen_light
+from bssrdf.rig.sim.media import SampleMedium, published_sample, r_edges_mfp, sample_of, unit_medium
+from bssrdf.rig.sim.peel_off import peel_off
 from bssrdf.rig.sim.scpi_device import Scpi
 from bssrdf.rig.sim.serial_devices import Sc10, Uniblitz
 from bssrdf.rig.sim.walked_light import walked
 from bssrdf.rig.sim.world import World
+from bssrdf.session.records import Material
+from bssrdf.transport import MonteCarloMedium, simulate
 from bssrdf.transport.discrete_ordinates import half_space
 from bssrdf.transport.exit_radiance import transmittance
+from bssrdf.transport.photon import stream_states
 
 
 def said(device: Any, command: bytes) -> bytes:
@@ -140,3 +146,35 @@ def test_light_scattered_once_is_the_closed_form() -> None:
     expected = np.pi * 0.7 / (4 * np.pi) * passing / (1.4 * sine * per_length) * np.exp(-per_length * r)
     near = r < 1
     np.testing.assert_allclose(line_beyond[near], expected[near], rtol=0.02)
+
+
+@pytest.mark.parametrize("back", [0.0, 0.9])
+def test_a_slab_sends_the_camera_the_light_that_the_engine_counts(back: float) -> None:
+    unit = SampleMedium(0.002, 0.998, 1.3, thickness_mm=4.0, back=back)
+    around, line = np.zeros((200, 36)), np.zeros(200)
+    sine = np.cos(np.pi / 4)
+    for state in stream_states(8, 4):
+        peel_off(10_000, state, 0.998, 0.0, 1.3, sine, 4.0, back, 0.005, 15.0, around, line)
+    medium = MonteCarloMedium(unit.sigma_a, unit.sigma_sp, 0.0, unit.eta, unit.thickness_mm, unit.back)
+    counted, error = simulate(medium, r_edges_mm=[0.0, 30.0], n_photons=60_000, seed=9).total_radiance(45.0)
+    assert np.pi * (around.sum() + line.sum()) / 40_000 == pytest.approx(counted, abs=4 * error)
+    far = np.exp(np.log(0.005) + np.arange(200) / 15.0) > 6
+    assert around[far].sum() > 0.1 * around.sum()
+
+
+def test_slabs_share_a_walk_where_depth_in_mean_free_paths_and_back_are_one() -> None:
+    slab = SampleMedium(0.02, 0.98, 1.3, thickness_mm=8.0, back=0.1)
+    key = light_key(unit_medium(slab), 45.0)
+    assert light_key(unit_medium(SampleMedium(0.04, 1.96, 1.3, thickness_mm=4.0, back=0.1)), 45.0) == key
+    others = [replace(slab, thickness_mm=9.0), replace(slab, back=0.0), replace(slab, thickness_mm=None)]
+    assert all(light_key(unit_medium(other), 45.0) != key for other in others)
+
+
+@pytest.mark.parametrize("keys", [{"backing": "air"}, {}, {"backing": 0.9, "width_mm": 50.0, "wall": "black"}])
+def test_what_the_simulated_bench_cannot_hold_is_refused(keys: dict[str, Any]) -> None:
+    material = Material("Skimmilk", 1.3, thickness_mm=10.0, **keys)
+    with pytest.raises(InputError, match="simulated bench films"):
+        sample_of(material)
+    held = sample_of(replace(material, width_mm=None, backing="black")).media["G"]
+    assert (held.thickness_mm, held.back) == (10.0, 0.03)
+    assert sample_of(Material("Skimmilk", 1.3)) == published_sample("Skimmilk")

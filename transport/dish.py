@@ -30,7 +30,7 @@ class Dish(NamedTuple):
     wall: Any
 
 
-class _Modes(NamedTuple):
+class Modes(NamedTuple):
     """Modes of a slab in depth, (b, modes): sin(p z + arctan p z), with slopes by ln σt′."""
 
     p: Any
@@ -40,10 +40,10 @@ class _Modes(NamedTuple):
     share_s: Any
 
 
-def _modes(e: Engine, top: Top, loss: Any, tau: Any) -> _Modes:
+def slab_modes(e: Engine, top: Top, loss: Any, tau: Any, numbers: Any = _MODES) -> Modes:
     """p τ + arctan p z + arctan p/h = m π: a concave left side, so Newton's steps come from below."""
     xp = e.xp
-    m, z0 = xp.asarray(_MODES) * np.pi, top.z
+    m, z0 = xp.asarray(numbers) * np.pi, top.z
     p = xp.maximum((m - np.pi) / tau, m / (tau + z0 + 1 / xp.maximum(loss, 1e-9)))  # both lie below
     for _ in range(_NEWTON):
         slope = tau + z0 / (1 + xp.square(p * z0)) + loss / (loss * loss + p * p)
@@ -59,13 +59,13 @@ def _modes(e: Engine, top: Top, loss: Any, tau: Any) -> _Modes:
         xp.cos(p * top.source + phase) * (top.source + at_top) * out + source * (xp.cos(phase) - out * p * z0 * at_top)
     )
     p_s = -p * tau / length
-    return _Modes(p, p_s, share, (share_p * p_s - share * (length_p * p_s + tau)) / length)
+    return Modes(p, p_s, share, (share_p * p_s - share * (length_p * p_s + tau)) / length)
 
 
 class _AtWall(NamedTuple):
     """Modes at a dish's wall: y = κω, η = 1/(z κ), and D = η I0 + I1 over e^y, with what slopes need."""
 
-    modes: _Modes
+    modes: Modes
     kappa: Any
     y: Any
     eta: Any
@@ -79,7 +79,7 @@ class _AtWall(NamedTuple):
 
 def _at_wall(e: Engine, dish: Dish, top: Top, aq: Any) -> _AtWall:
     xp = e.xp
-    modes = _modes(e, top, dish.back, dish.tau)
+    modes = slab_modes(e, top, dish.back, dish.tau)
     kappa = xp.sqrt(modes.p * modes.p + aq * aq)
     y, eta = kappa * dish.omega, dish.wall / kappa
     log_by = (modes.p * modes.p_s / (kappa * kappa), aq / (kappa * kappa))

@@ -20,6 +20,7 @@ from bssrdf.transport.discrete_ordinates import decay_constant
 from bssrdf.transport.exit_radiance import MAX_ANGLE_DEG, N_MU, angle_weights
 from bssrdf.transport.parallel import Progress, run_all
 from bssrdf.transport.photon import CACHE_LINES, stream_states
+from bssrdf.transport.slab import MILNE
 from bssrdf.transport.walk import Vessel, walk
 
 Floats = NDArray[np.float64]
@@ -77,6 +78,16 @@ class MonteCarloMedium:
     def sigma_t(self) -> float:
         """Extinction coefficient σt."""
         return self.sigma_a + self.sigma_s
+
+    def decay_constant(self, r_max_mm: float) -> float:
+        """How fast light falls up to a radius [1/mm]: of a slab, where it is far, to the 10 % that splitting needs."""
+        bulk = decay_constant(self.sigma_s / self.sigma_t, self.g) * self.sigma_t
+        if self.thickness_mm is None or r_max_mm < 3 * self.thickness_mm:
+            return bulk
+        rho = self.backing if isinstance(self.backing, int | float) else 0.0
+        mfp = 1 / (self.sigma_a + self.sigma_s * (1 - self.g))
+        half_waves = (1 + (1 - rho) / (1 + rho)) / 2  # a quarter of a wave fits a slab on white
+        return math.hypot(bulk, math.pi * half_waves / (self.thickness_mm + 2 * MILNE * mfp))
 
     @property
     def vessel(self) -> Vessel:
@@ -220,6 +231,7 @@ def _batch(
     scores = np.zeros((2, 3, edges_mm.size, N_MU))
     paths = np.zeros((2, edges_mm.size))
     counts = np.zeros(CACHE_LINES)[:3]
+    decay = medium.decay_constant(edges_mm[-1]) / sigma_t
     for start in range(0, n_photons, CHUNK):
         if stop.is_set():
             return None
@@ -232,7 +244,7 @@ def _batch(
             medium.vessel,
             beam.radius_mm * sigma_t,
             math.sin(math.radians(beam.incidence_deg)),
-            decay_constant(medium.sigma_s / sigma_t, medium.g),
+            decay,
             edges_mm * sigma_t,
             scores,
             paths,

@@ -81,6 +81,15 @@ def azimuth(state: State) -> tuple[float, float]:
 
 
 @njit(inline="always")
+def lambertian(state: State) -> tuple[float, float, float]:
+    """A direction upwards, as a diffuse back sends light."""
+    cos_a, sin_a = azimuth(state)
+    across2 = uniform(state)
+    across = math.sqrt(across2)
+    return across * cos_a, across * sin_a, -math.sqrt(1.0 - across2)
+
+
+@njit(inline="always")
 def scattering_cosine(state: State, g: float) -> float:
     """Cosine of a Henyey–Greenstein deflection."""
     if abs(g) < 1e-4:  # the closed form below divides by g; here it is its own first order

@@ -15,6 +15,7 @@ from bssrdf.transport.photon import (
     azimuth,
     bin_of,
     free_path,
+    lambertian,
     normalised,
     reflectance_inside,
     scatter,
@@ -73,15 +74,6 @@ def at_wall(
     outwards = ux * nx + uy * ny
     reflected, _ = reflectance_inside(eta, min(abs(outwards), 1.0))
     return uniform(state) < reflected, ux - 2.0 * outwards * nx, uy - 2.0 * outwards * ny, uz
-
-
-@njit(inline="always")
-def lambertian(state: State) -> tuple[float, float, float]:
-    """A direction upwards, as a diffuse back sends light."""
-    cos_a, sin_a = azimuth(state)
-    across2 = uniform(state)
-    across = math.sqrt(across2)
-    return across * cos_a, across * sin_a, -math.sqrt(1.0 - across2)
 
 
 @njit(nogil=True, cache=True)

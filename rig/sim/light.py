@@ -52,11 +52,12 @@ class SeenLight:
 def seen_light(
     medium: SampleMedium, view_angle_deg: float, *, photons: int, seed: int, anew: bool = False
 ) -> SeenLight:
-    """The light of a half space lit at normal incidence, seen under `view_angle_deg`.
+    """The light of a half space or a slab lit at normal incidence, seen under `view_angle_deg`.
 
     Taken from the light that ships with the package where it has this medium and angle (`make_light`), else walked
-    with that many photons and kept in the user's cache. Only the reduced albedo shapes the light: walks are made in
-    mean free paths 1/σt′, which media of one albedo share. `anew` walks where the light ships, too: by seed then.
+    with that many photons and kept in the user's cache. Walks are made in mean free paths 1/σt′: only the reduced
+    albedo shapes the light, and a slab's depth in these and its back. `anew` walks where the light ships, too: by
+    seed then.
     """
     unit = unit_medium(medium)
     rows = None if anew else _shipped().get(light_key(unit, view_angle_deg))
@@ -67,7 +68,8 @@ def seen_light(
 
 def light_key(unit: SampleMedium, view_angle_deg: float) -> str:
     """Name of a walk in the shipped file."""
-    return f"{unit.sigma_a:.9g},{unit.eta:g},{unit.g:g},{view_angle_deg:g}"
+    slab = "" if unit.thickness_mm is None else f",{unit.thickness_mm:.9g},{unit.back:g}"
+    return f"{unit.sigma_a:.9g},{unit.eta:g},{unit.g:g},{view_angle_deg:g}{slab}"
 
 
 @functools.cache

@@ -1,6 +1,6 @@
 """Make the shipped light of the simulated bench again: `python -m bssrdf.rig.sim.make_light`.
 
-It holds the published materials and the white tile at 45°.
+It holds the published materials and the white tile at 45°, and a thin sample: 10 mm of skim milk on black.
 """
 
 from __future__ import annotations
@@ -38,7 +38,8 @@ def make_light(path: Path, steps: float = STEPS) -> None:
 
 
 def _units() -> list[SampleMedium]:
-    return [unit_medium(medium) for name in load_materials() for medium in published_sample(name).media.values()]
+    samples = [*map(published_sample, load_materials()), published_sample("Skimmilk").slab(10.0, back=0.0)]
+    return [unit_medium(medium) for sample in samples for medium in sample.media.values()]
 
 
 if __name__ == "__main__":

@@ -5,11 +5,14 @@ Lengths in mm, coefficients in 1/mm.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bssrdf.errors import InputError
+from bssrdf.fit import BLACK
+from bssrdf.session.records import Material
 from bssrdf.transport import CHANNELS, find_material
 
 Array = NDArray[np.float64]
@@ -31,14 +34,23 @@ class SampleMedium:
     sigma_sp: float
     eta: float
     g: float = 0.0
+    thickness_mm: float | None = None
+    """Depth of a slab; a half space without it."""
+    back: float = 0.0
+    """Share of the light that a face under the slab, in optical contact, sends back diffusely; 0 is an ideal black."""
 
 
 @dataclass(frozen=True)
 class SimSample:
-    """What can lie under the beam: a half space, by its coefficients in each channel."""
+    """What can lie under the beam: a half space or a slab, by its coefficients in each channel."""
 
     name: str
     media: dict[str, SampleMedium]
+
+    def slab(self, thickness_mm: float, back: float) -> SimSample:
+        """As much of it, on a back of this diffuse reflectance."""
+        slabs = {name: replace(each, thickness_mm=thickness_mm, back=back) for name, each in self.media.items()}
+        return SimSample(self.name, slabs)
 
 
 def published_sample(name: str) -> SimSample:
@@ -51,15 +63,31 @@ def published_sample(name: str) -> SimSample:
     return SimSample(material.name, media)
 
 
+def sample_of(material: Material) -> SimSample:
+    """The published material, held as `[material]` says; InputError where the simulated bench cannot hold it so."""
+    sample, depth, back = published_sample(material.name), material.thickness_mm, material.backing
+    known = back == "black" or isinstance(back, int | float)
+    if material.width_mm is not None or material.cover != "none" or (depth is not None and not known):
+        raise InputError(
+            'the simulated bench films half spaces, and slabs without a cover on backing = "black" or a diffuse '
+            "reflectance; mend [material]"
+        )
+    if depth is None or isinstance(back, str | None):
+        return sample if depth is None else sample.slab(depth, BLACK)
+    return sample.slab(depth, back)
+
+
 def white_tile() -> SimSample:
     """The reference: a thick Spectralon tile, which spreads the spot by its own scattering."""
     return published_sample("Spectralon")
 
 
 def unit_medium(medium: SampleMedium) -> SampleMedium:
-    """The medium of the same albedo whose σt′ is 1."""
-    loss = float(f"{medium.sigma_a / (medium.sigma_a + medium.sigma_sp):.9g}")
-    return SampleMedium(loss, 1 - loss, medium.eta, medium.g)
+    """The medium of the same albedo whose σt′ is 1, as deep in mean free paths 1/σt′."""
+    sigma_tp = medium.sigma_a + medium.sigma_sp
+    loss = float(f"{medium.sigma_a / sigma_tp:.9g}")
+    depth = None if medium.thickness_mm is None else float(f"{medium.thickness_mm * sigma_tp:.9g}")
+    return SampleMedium(loss, 1 - loss, medium.eta, medium.g, depth, medium.back)
 
 
 def r_edges_mfp() -> Array:

@@ -12,7 +12,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from bssrdf.transport.photon import State, free_path, normalised, reflectance_inside, scatter, uniform
+from bssrdf.transport.photon import State, free_path, lambertian, normalised, reflectance_inside, scatter, uniform
 
 Array = NDArray[np.float64]
 
@@ -30,6 +30,8 @@ def peel_off(
     g: float,
     eta: float,
     cos_outside: float,
+    thickness: float,
+    back: float,
     r_first: float,
     bins_per_e_fold: float,
     around: Array,
@@ -39,7 +41,8 @@ def peel_off(
 
     The camera looks from +y at the outside cosine `cos_outside`. around: (n_r, n_phi), light scattered twice or more
     where it leaves the surface, n_phi bins of azimuth from +y over 0 to π; line: (n_r,), light scattered once, which
-    leaves on the line towards +y. Radial bins: [0, r_first], then evenly in ln r.
+    leaves on the line towards +y. Radial bins: [0, r_first], then evenly in ln r. A face at depth `thickness`, maybe
+    infinite, sends back the share `back` diffusely; to meet it counts as a scattering.
     """
     sin_inside = math.sqrt(1.0 - cos_outside * cos_outside) / eta
     cos_inside = math.sqrt(1.0 - sin_inside * sin_inside)
@@ -60,15 +63,22 @@ def peel_off(
                 d -= b
                 weight *= reflectance_inside(eta, -uz)[0]
                 uz = -uz
+            at_back = z + d * uz > thickness
+            if at_back:
+                d = (thickness - z) / uz
             x += ux * d
             y += uy * d
             z += uz * d
             n += 1
-            weight *= albedo
+            weight *= back if at_back else albedo
+            if weight == 0.0:
+                break
             depth = z / cos_inside
             if depth < _FAINT:
                 cos_theta = uy * sin_inside - uz * cos_inside
-                phase = (1.0 - g * g) / (4.0 * math.pi) * (1.0 + g * g - 2.0 * g * cos_theta) ** -1.5
+                phase = cos_inside / math.pi
+                if not at_back:
+                    phase = (1.0 - g * g) / (4.0 * math.pi) * (1.0 + g * g - 2.0 * g * cos_theta) ** -1.5
                 light = weight * phase * math.exp(-depth) * passing
                 out = y + depth * sin_inside
                 r = math.sqrt(x * x + out * out)
@@ -82,6 +92,9 @@ def peel_off(
                 if uniform(state) * _SURVIVORS_WEIGHT > weight:
                     break
                 weight = _SURVIVORS_WEIGHT
-            ux, uy, uz = scatter(state, g, ux, uy, uz)
+            if at_back:
+                ux, uy, uz = lambertian(state)
+            else:
+                ux, uy, uz = scatter(state, g, ux, uy, uz)
             if n & 15 == 0:
                 ux, uy, uz = normalised(ux, uy, uz)

@@ -13,7 +13,7 @@ from scipy.ndimage import median_filter
 
 from bssrdf.rig.sim.media import SampleMedium, r_edges_mfp
 from bssrdf.rig.sim.peel_off import peel_off
-from bssrdf.transport import MonteCarloMedium, decay_constant, run_all, simulate
+from bssrdf.transport import MonteCarloMedium, run_all, simulate
 from bssrdf.transport.exit_radiance import angle_weights, transmittance
 from bssrdf.transport.photon import stream_states
 
@@ -58,10 +58,11 @@ def _by_engine(unit: SampleMedium, view_angle_deg: float, photons: int, seed: in
 
     Not followed to where it is fainter by e^−_FAR_DECAYS.
     """
-    medium = MonteCarloMedium.reduced(unit.sigma_a, unit.sigma_sp, unit.g, unit.eta)
     edges = r_edges_mfp()
     near = edges[edges < _FAR_DECAYS / _kappa(unit)]
-    tally = simulate(medium, r_edges_mm=near, n_photons=photons, seed=seed, n_batches=_BATCHES, n_threads=n_threads)
+    tally = simulate(
+        _medium(unit), r_edges_mm=near, n_photons=photons, seed=seed, n_batches=_BATCHES, n_threads=n_threads
+    )
     towards = angle_weights(unit.eta, float(np.cos(np.radians(view_angle_deg))))
     seen = np.zeros((_BATCHES, edges.size - 1))
     seen[:, : near.size - 1] = tally.scores[:, 0, 2, :-1] @ towards
@@ -78,11 +79,13 @@ def _towards_camera(
     edges = r_edges_mfp() * sigma_t
     n_r = edges.size - 1
     bins_per_e_fold = (n_r - 1) / np.log(edges[-1] / edges[1])
+    depth = np.inf if unit.thickness_mm is None else unit.thickness_mm * sigma_t
+    medium = (sigma_s / sigma_t, unit.g, unit.eta, cos_view, depth, unit.back)
 
     def batch(state: Any) -> tuple[Array, Array]:
         around, line = np.zeros((n_r, _AZIMUTHS)), np.zeros(n_r)
         each = -(-photons // _BATCHES)
-        peel_off(each, state, sigma_s / sigma_t, unit.g, unit.eta, cos_view, edges[1], bins_per_e_fold, around, line)
+        peel_off(each, state, *medium, edges[1], bins_per_e_fold, around, line)
         return around / each, line / each
 
     states = stream_states(seed, _BATCHES, _OF_CAMERA)
@@ -134,9 +137,12 @@ def _smooth(unit: SampleMedium, light: Array, error: Array) -> Array:
 
 def _kappa(unit: SampleMedium) -> float:
     """Decay constant of light far out, in 1/mfp′."""
+    return _medium(unit).decay_constant(np.inf)
+
+
+def _medium(unit: SampleMedium) -> MonteCarloMedium:
     sigma_s = unit.sigma_sp / (1 - unit.g)
-    sigma_t = sigma_s + unit.sigma_a
-    return decay_constant(sigma_s / sigma_t, unit.g) * sigma_t
+    return MonteCarloMedium(unit.sigma_a, sigma_s, unit.g, unit.eta, unit.thickness_mm, unit.back)
 
 
 def _harmonics_of(unit: SampleMedium, around: Array) -> Array:
@@ -166,7 +172,7 @@ def continued(unit: SampleMedium, second: Array) -> Array:
     Its own noise there, 1 to 4 % of the light, is more than itself.
     """
     r = np.append(_middles(), _middles()[-1])
-    kappa = np.sqrt(3 * unit.sigma_a)
+    kappa = np.sqrt(3 * unit.sigma_a) if unit.thickness_mm is None else _kappa(unit)
     fall = -3 / r - kappa**2 * r / (1 + kappa * r)
     bend = fall**2 + 3 / r**2 - kappa**2 / (1 + kappa * r) ** 2 - fall / r
     near = int(np.searchsorted(r, _TOLD_TO))
