@@ -148,18 +148,16 @@ def test_light_scattered_once_is_the_closed_form() -> None:
     np.testing.assert_allclose(line_beyond[near], expected[near], rtol=0.02)
 
 
-@pytest.mark.parametrize("back", [0.0, 0.9])
-def test_a_slab_sends_the_camera_the_light_that_the_engine_counts(back: float) -> None:
-    unit = SampleMedium(0.002, 0.998, 1.3, thickness_mm=4.0, back=back)
+@pytest.mark.parametrize(("depth", "back"), [(4.0, 0.0), (0.7, 0.9)])
+def test_a_slab_sends_the_camera_the_light_that_the_engine_counts(depth: float, back: float) -> None:
+    unit = SampleMedium(0.002, 0.998, 1.3, thickness_mm=depth, back=back)
     around, line = np.zeros((200, 36)), np.zeros(200)
     sine = np.cos(np.pi / 4)
     for state in stream_states(8, 4):
-        peel_off(10_000, state, 0.998, 0.0, 1.3, sine, 4.0, back, 0.005, 15.0, around, line)
+        peel_off(10_000, state, 0.998, 0.0, 1.3, sine, depth, back, 0.005, 15.0, around, line)
     medium = MonteCarloMedium(unit.sigma_a, unit.sigma_sp, 0.0, unit.eta, unit.thickness_mm, unit.back)
     counted, error = simulate(medium, r_edges_mm=[0.0, 30.0], n_photons=60_000, seed=9).total_radiance(45.0)
     assert np.pi * (around.sum() + line.sum()) / 40_000 == pytest.approx(counted, abs=4 * error)
-    far = np.exp(np.log(0.005) + np.arange(200) / 15.0) > 6
-    assert around[far].sum() > 0.1 * around.sum()
 
 
 def test_slabs_share_a_walk_where_depth_in_mean_free_paths_and_back_are_one() -> None:
