@@ -223,7 +223,7 @@ def test_share_lost_after_many_bounces_is_that_of_the_orders(depth: int) -> None
 
 
 def test_dipole_of_our_own_integrator_adds_up_to_the_measured_total() -> None:
-    from bssrdf.transport.dipole import WalkMedium as Dipole
+    from bssrdf.transport.dipole import Medium as Dipole
     from bssrdf.transport.dipole import total_r
     from bssrdf.transport.single import first_order_total
 
