@@ -233,11 +233,13 @@ def _drift(e: Engine, laid: Any, looks: Any, by: Any, shared: Any, grown: Any) -
         first = xp.argsort(xp.where(counts, 0, 1), axis=1, stable=True)  # those that count, in order of radius
         weight = xp.take_along_axis(xp.where(counts, weight, 0.0), first, axis=1)
         moment = weight * xp.take_along_axis(relative, first, axis=1)
-        begun = xp.zeros_like(weight[:, :1])
-        upto = [xp.concatenate([begun, xp.cumsum(each, axis=1)], axis=1) for each in (weight, moment)]
+        ended = xp.zeros_like(weight[:, :1])  # summed inwards: light far out would be lost in sums from the beam
+        beyond = [
+            xp.concatenate([xp.cumsum(each[:, ::-1], axis=1)[:, ::-1], ended], axis=1) for each in (weight, moment)
+        ]
         at = np.linspace(0, 1 - 1 / FIFTH, STARTS)
         ends = [(counts.sum(1, keepdims=True) * share + 1e-9).astype(xp.int32) for share in (at, at + 1 / FIFTH)]
-        mass, sums = (xp.take_along_axis(s, ends[1], axis=1) - xp.take_along_axis(s, ends[0], axis=1) for s in upto)
+        mass, sums = (xp.take_along_axis(s, ends[0], axis=1) - xp.take_along_axis(s, ends[1], axis=1) for s in beyond)
         mass = xp.maximum(mass, 1e-300)
         mean = xp.abs(sums) / mass
         largest = xp.maximum(largest, xp.where(mean * xp.sqrt(mass / grown[:, None]) > 4, mean, 0.0).max(1))

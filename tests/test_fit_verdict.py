@@ -7,14 +7,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from builders import changed, with_rd
+from builders import changed, slice_of, with_rd
 
 from bssrdf.bench.trial_light import shipped
 from bssrdf.bench.trials import Drawn, slices_of
+from bssrdf.fit.models import shipped_table
 from bssrdf.fit.run import FitOptions, fit_slices
 from bssrdf.report.table import fits_table
 from bssrdf.report.text import fit_text
 from bssrdf.session.records import ChannelFit, Fit, Slice
+from bssrdf.transport.arrays import NUMPY
 
 CELLS = ("Marble G", "Skin1 G", "Chicken1 R", "Wholemilk R")
 OPTIONS = FitOptions(model="mc", constraint="soft")
@@ -106,3 +108,16 @@ def test_errors_that_are_not_stated_are_named() -> None:
     found = fit(piece)
     assert {"scale", "length", "g", "eta"} <= set(found.not_stated)
     assert "scale_sd_unknown" in found.flags
+
+
+def test_light_that_falls_by_many_decades_is_not_rejected_for_its_rounding() -> None:
+    """A dark medium out to where nothing is left: sums from the beam outwards would lose the far radii."""
+    table = shipped_table(1.3, 0.0)
+    r_mm = np.linspace(0.6, 29.0, 134)
+    q = np.array([[np.sqrt(3 * 0.97 / (0.97 + 0.07))]])
+    rd = np.asarray(table.look(NUMPY, q, 1.04 * r_mm[None])[0])[0] * 1.04**2
+    sd = np.hypot(0.01 * rd, 1e-7)
+    noises = np.random.default_rng(5).normal(size=(20, r_mm.size))
+    pieces = [slice_of(r_mm, rd + sd * noise, sd=sd, eta=1.3, g=0.0, scale_rel_sd=0.003) for noise in noises]
+    for channels in fit_slices(pieces, FitOptions(model="mc")):
+        assert "shape_misfit" not in channels["G"].flags
