@@ -296,15 +296,24 @@ def _further_var(square: Array, var: Array, freedom: float) -> float:
     return low
 
 
+class Leak(NamedTuple):
+    """What pixels beside saturated ones get more, by colour, and how well that explains them."""
+
+    dn: Array
+    sd_dn: Array
+    contradiction: float
+    """Relative error of a sample, those beside saturated ones with what one leak for all does not explain."""
+
+
 def leak_of(
     model: FrameModel, frames: Sequence[Exposed], comparisons: Sequence[Comparison], noise_dn: float, span_dn: float
-) -> tuple[Array, Array]:
-    """What pixels beside saturated ones get more [DN] by colour, from what `model` leaves of them, with its error."""
+) -> Leak:
+    """The leak from what `model` leaves of the pixels beside saturated ones."""
     beside = [c for c in comparisons if c.first_beside or c.second_beside]
     n_colours = model.offset_dn.shape[1]
     spread = _LEAK_SD * noise_dn
     if not beside:
-        return np.zeros(n_colours), np.full(n_colours, spread)
+        return Leak(np.zeros(n_colours), np.full(n_colours, spread), model.contradiction)
     i, j, colour, x, y, log, var = _pairs(frames, beside)
     offset = model.offset_dn[j, colour] / y - model.offset_dn[i, colour] / x
     left = log - model.log_scale[j] + model.log_scale[i] - offset + model.bend * (y - x) / span_dn
@@ -319,4 +328,8 @@ def leak_of(
         over = left - design @ leak
         trust = np.minimum(1.0, _OUTLIER_SD / np.maximum(np.abs(over) / np.sqrt(var + extra), 1e-9))
         extra = max(_further_var(trust * over**2, var, max(float(trust.sum()) - n_colours, 1.0)), _LEAST_VAR)
-    return leak, np.sqrt(np.diag(covariance))
+    # By the median: the faintest pixels, of whose light a leak is a large share, are farther off than the others.
+    unexplained = max(float(np.median(np.abs(over))) ** 2 - float(np.median(var)), 0.0)
+    share = len(beside) / len(comparisons)
+    contradiction = float(np.sqrt((1 - share) * model.contradiction**2 + share * unexplained))
+    return Leak(leak, np.sqrt(np.diag(covariance)), max(model.contradiction, contradiction))

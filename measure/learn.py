@@ -120,9 +120,10 @@ def learn_camera(brackets: Sequence[Bracket], camera: Camera, period: int, progr
 
     noise_dn, span_dn = float(np.sqrt(sensor.read_var_dn())), sensor.span_dn()
     model = solve_frames(found.frames, found.comparisons, found.n_places, noise_dn, span_dn)
-    leak, leak_sd = leak_of(model, found.frames, found.comparisons, noise_dn, span_dn)
+    near = leak_of(model, found.frames, found.comparisons, noise_dn, span_dn)
     sensor = replace(sensor, bend=model.bend)
-    leak = np.where(np.abs(leak) > np.maximum(_SURE_SD * leak_sd, _NOTABLE * noise_dn), leak, 0.0)
+    leak = np.where(np.abs(near.dn) > np.maximum(_SURE_SD * near.sd_dn, _NOTABLE * noise_dn), near.dn, 0.0)
+    model = replace(model, contradiction=near.contradiction) if leak.any() else model
     names = tuple((frame.kind, frame.label_s) for frame in found.frames)
     corrections = _corrections(names, model, leak, noise_dn)
     flux = {kind: max(level.flux_rel_sd(sensor) for level in levels) for kind, levels in found.levels.items()}

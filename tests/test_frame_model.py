@@ -95,6 +95,18 @@ def test_comparisons_that_contradict_each_other_enlarge_every_error():
 
 def test_what_saturated_neighbours_add_is_found_apart():
     model, given = solved(np.zeros(12), leak=2.0)
-    leak, sd = leak_of(model, frames(), given, NOISE, SPAN)
-    assert leak[0] == pytest.approx(2.0, abs=4 * sd[0] + 0.1)
+    leak = leak_of(model, frames(), given, NOISE, SPAN)
+    assert leak.dn[0] == pytest.approx(2.0, abs=4 * leak.sd_dn[0] + 0.1)
+    assert leak.contradiction == pytest.approx(model.contradiction, abs=1e-3)
     assert not model.offset_dn.any()
+
+
+def test_a_leak_that_one_number_does_not_explain_is_an_error_of_the_light():
+    off = np.log(1.03) * np.array([1, -1])
+    model, given = solved(np.zeros(12), leak=2.0)
+    apart = [c for c in given if not c.second_beside]
+    beside = [c for c in given if c.second_beside]
+    uneven = [c._replace(longer=c.longer * np.exp(off[at % 2])) for at, c in enumerate(beside)]
+    found = leak_of(model, frames(), [*apart, *uneven], NOISE, SPAN).contradiction
+    share = len(beside) / len(given)
+    assert found == pytest.approx(0.03 * share**0.5, rel=0.2)
