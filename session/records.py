@@ -12,8 +12,10 @@ from typing import Annotated, Any, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from bssrdf.session.checks import backing, layout, levels, sha256, time
+from bssrdf.session.checks import layout, levels, sha256, time
 from bssrdf.session.keys import ANGLE, COSINE, ERROR, LENGTH, POSITIVE, SHARE, Key, Range
+from bssrdf.session.sample_keys import SAMPLE_KEYS as SAMPLE_KEYS
+from bssrdf.session.sample_keys import Backing, BackingSd, Cover, Thickness, ThicknessSd, Wall, Width
 
 NAN = float("nan")
 TOTAL_R_MAX = 1.1
@@ -51,31 +53,6 @@ _WHOLE_ERROR = (
     "names; null for `rejected` and `unidentifiable`"
 )
 
-Wall = Literal["black", "air"]
-Cover = Literal["none", "glass"]
-_Thickness = Annotated[
-    float | None, Key("depth of the sample; without it, and without a dish, a half space", LENGTH, example=40.0)
-]
-_ThicknessSd = Annotated[float | None, Key("error of the depth; none is taken as 2 %, flagged", ERROR, example=0.4)]
-_Width = Annotated[float | None, Key("inner diameter of a round dish with the beam on its axis", LENGTH, example=100.0)]
-_Wall = Annotated[Wall | None, Key("side of the dish: painted, or clear against air", example="black")]
-_Backing = Annotated[
-    str | float | None,
-    Key(
-        'under the sample: "black", "air", or the diffuse reflectance of a face in optical contact; any other word is '
-        "flagged and not allowed for",
-        example="black",
-        check=backing,
-    ),
-]
-_BackingSd = Annotated[
-    float | None,
-    Key("error of that reflectance; none is taken as 0.05, of black as 0.03, flagged", SHARE, example=0.02),
-]
-_Cover = Annotated[Cover, Key("what lies on top")]
-SAMPLE_KEYS = ("thickness_mm", "thickness_sd_mm", "width_mm", "wall", "backing", "backing_sd", "cover")
-"""What holds the sample: the same in `[material]` and in a slice."""
-
 
 @dataclass(frozen=True)
 class Material:
@@ -84,13 +61,13 @@ class Material:
     name: Annotated[str, Key("what lies under the beam", example="milk", informational=_NAME)]
     eta: Annotated[float, Key("index of refraction: 1.3 for watery things, 1.5 for marble", POSITIVE, example=1.3)]
     g: Annotated[float | None, Key("mean cosine of scattering", COSINE, example=0.0)] = None
-    thickness_mm: _Thickness = None
-    thickness_sd_mm: _ThicknessSd = None
-    width_mm: _Width = None
-    wall: _Wall = None
-    backing: _Backing = None
-    backing_sd: _BackingSd = None
-    cover: _Cover = "none"
+    thickness_mm: Thickness = None
+    thickness_sd_mm: ThicknessSd = None
+    width_mm: Width = None
+    wall: Wall = None
+    backing: Backing = None
+    backing_sd: BackingSd = None
+    cover: Cover = "none"
     finish: Annotated[Literal["polished", "rough"], Key("the surface")] = "polished"
 
 
@@ -320,13 +297,13 @@ class Slice:
     shared_errors: Annotated[
         str | None, Key("slices with the same text share errors of scale and length, as those against one tile do")
     ] = None
-    thickness_mm: _Thickness = None
-    thickness_sd_mm: _ThicknessSd = None
-    width_mm: _Width = None
-    wall: _Wall = None
-    backing: _Backing = None
-    backing_sd: _BackingSd = None
-    cover: _Cover = "none"
+    thickness_mm: Thickness = None
+    thickness_sd_mm: ThicknessSd = None
+    width_mm: Width = None
+    wall: Wall = None
+    backing: Backing = None
+    backing_sd: BackingSd = None
+    cover: Cover = "none"
     material: Annotated[str | None, Key("name of the material", informational=_NAME)] = None
     space: Annotated[
         Space | None,

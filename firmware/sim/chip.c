@@ -72,26 +72,18 @@ static void set_light(bool on) {
 
 static avr_cycle_count_t blade_edge(avr_t *chip, avr_cycle_count_t when, void *on) {
     (void)chip, (void)when;
-    set_light(on != NULL);
+    set_light(*(bool *)on);
     return 0;
 }
 
 /* The blade passes the beam after its lag, and bounces back twice; it closes faster than it opens, by its spring.
-   Each edge is a timer of its own, which simavr tells apart by their functions. */
-static const double bounces[2][5] = {{0.0, 0.1, 0.3, 0.4, 0.7}, {0.0, 0.2, 0.35, 0.6, 1.0}};
-static const double lags[2] = {0.75, 1.0};
-
-static avr_cycle_count_t edge_0(avr_t *a, avr_cycle_count_t w, void *on) { return blade_edge(a, w, on); }
-static avr_cycle_count_t edge_1(avr_t *a, avr_cycle_count_t w, void *on) { return blade_edge(a, w, on); }
-static avr_cycle_count_t edge_2(avr_t *a, avr_cycle_count_t w, void *on) { return blade_edge(a, w, on); }
-static avr_cycle_count_t edge_3(avr_t *a, avr_cycle_count_t w, void *on) { return blade_edge(a, w, on); }
-static avr_cycle_count_t edge_4(avr_t *a, avr_cycle_count_t w, void *on) { return blade_edge(a, w, on); }
-static avr_cycle_count_t (*const edges[5])(avr_t *, avr_cycle_count_t, void *) = {edge_0, edge_1, edge_2, edge_3, edge_4};
-
+   Each edge is a timer of its own, which simavr tells apart by what they are told. */
 static void move_blade(bool open) {
+    static const double bounces[2][5] = {{0.0, 0.1, 0.3, 0.4, 0.7}, {0.0, 0.2, 0.35, 0.6, 1.0}};
+    static const double lags[2] = {0.75, 1.0};
+    static bool lit[2][5] = {{false, true, false, true, false}, {true, false, true, false, true}};
     for (int i = 0; i < 5; i++)
-        avr_cycle_timer_register(avr, lags[open] * blade_lag + bounces[open][i] * blade_bounce + 1, edges[i],
-                                 (open == (i % 2 == 0)) ? avr : NULL);
+        avr_cycle_timer_register(avr, lags[open] * blade_lag + bounces[open][i] * blade_bounce + 1, blade_edge, &lit[open][i]);
 }
 
 static int deepest_sp;
