@@ -97,13 +97,11 @@ def _channel_to_dict(channel: ChannelFit) -> dict[str, Any]:
 
 
 def _finite(value: Any) -> Any:
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
     if isinstance(value, Mapping):
         return {key: _finite(each) for key, each in value.items()}
-    if isinstance(value, list | tuple):
-        return [_finite(each) for each in value]
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value
+    return [_finite(each) for each in value] if isinstance(value, list | tuple) else value
 
 
 def _fit(document: dict[str, Any]) -> Fit:

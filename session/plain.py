@@ -12,11 +12,14 @@ from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_
 import numpy as np
 
 T = TypeVar("T")
+_PLAIN = (float, int, str, bool, type(None))
 _hints: Callable[[Any], dict[str, Any]] = cache(get_type_hints)
 
 
 def to_plain(value: Any) -> Any:
     """The value with data classes and named tuples as dicts, arrays as lists, and text for keys."""
+    if type(value) in _PLAIN:
+        return value
     if is_dataclass(value) or hasattr(value, "_fields"):
         return {name: to_plain(getattr(value, name)) for name in _hints(type(value))}
     if isinstance(value, Mapping):

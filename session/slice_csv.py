@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import pairwise, repeat
 from pathlib import Path
@@ -24,6 +25,7 @@ HEADER = {**keys_of(Slice), **keys_of(Columns)}
 """What may stand above the table: what a slice is, and how its columns are written."""
 _NEEDED = ("channel", *NEEDED)
 _ELSEWHERE = ("material", "flags", "provenance")
+_COMMENTS = re.compile(r"(?:#[^\n]*\n?)*")
 
 
 def read_slice(path: Path, **overrides: Any) -> Slice:
@@ -89,22 +91,26 @@ def _over(value: Any, override: Any, channels: Iterable[str]) -> Any:
 
 def _split(content: str) -> tuple[str, str]:
     """The TOML header and the CSV table, each with the other's lines empty, so that line numbers stay the file's."""
-    lines = content.split("\n")
+    found = _COMMENTS.match(content)
+    end = found.end() if found and "\n#" not in content[found.end() :] else len(content)
+    above, below = content[:end], content[end:]
+    lines = above.split("\n")
     commented = [line[:1] == "#" for line in lines]
     header = [line[1:] if comment and line[1:2] != "#" else "" for line, comment in zip(lines, commented, strict=True)]
     table = ["" if comment else line for line, comment in zip(lines, commented, strict=True)]
-    return "\n".join(header).rstrip(), "\n".join(table)
+    return "\n".join(header).rstrip(), "\n".join(table) + below
 
 
 def _channels(path: Path, content: str, unit: str | None) -> Iterator[tuple[str, ChannelSlice]]:
     """The channels in the order in which they first appear; lengths are in `unit`, in mm if None."""
     table = parse_columns(path, _in_mm(path, content, unit), ["channel", *COLUMNS], _NEEDED)
-    if not table.lines:
+    if not table.lines.size:
         raise InputError(f"{path}: holds no row below its header; add {','.join(_NEEDED)} of each point")
-    points = Places(str(path), np.array(table.lines))
+    points = Places(str(path), table.lines)
     texts = dict(zip(table.header, table.columns, strict=True))
-    names = np.array([name.strip() for name in texts.pop("channel")])
-    points.refuse(names == "", "channel", names, "must be a name, such as G")
+    names = [*map(str.strip, texts.pop("channel"))]
+    if "" in names:
+        points.refuse(np.array(names) == "", "channel", names, "must be a name, such as G")
     columns = {name: _numbers(name, column, points) for name, column in texts.items()}
     if unit is not None:
         columns = {name: column * factor(name, unit) for name, column in columns.items()}
@@ -117,20 +123,20 @@ def _channels(path: Path, content: str, unit: str | None) -> Iterator[tuple[str,
         yield name, part
 
 
-def _places(names: NDArray[np.str_]) -> dict[str, Any]:
+def _places(names: list[str]) -> dict[str, Any]:
     """The rows of each channel: as a slice where the channels stand one after another, as they mostly do."""
-    starts = np.flatnonzero(np.append(True, names[1:] != names[:-1]))
-    firsts = names[starts].tolist()
+    starts = [0, *(at for at, (one, other) in enumerate(pairwise(names), 1) if one != other)]
+    firsts = [names[at] for at in starts]
     if len(set(firsts)) == len(firsts):
-        return {name: slice(*ends) for name, ends in zip(firsts, pairwise([*starts.tolist(), None]), strict=True)}
-    return {name: names == name for name in dict.fromkeys(firsts)}
+        return {name: slice(*ends) for name, ends in zip(firsts, pairwise([*starts, None]), strict=True)}
+    return {name: np.array(names) == name for name in dict.fromkeys(firsts)}
 
 
 def _in_mm(path: Path, content: str, unit: str | None) -> str:
     """The table with its header's columns named as for mm; InputError where they name another unit than `unit`."""
-    lines = content.split("\n")
-    at = next((at for at, line in enumerate(lines) if line.strip()), 0)
-    names = [name.strip() for name in lines[at].split(",")]
+    body = content.lstrip()
+    head, end, rows = body.partition("\n")
+    names = [name.strip() for name in head.split(",")]
     units = dict.fromkeys(filter(None, (column_unit(name) for name in names if in_mm(name) in COLUMNS)))
     if len(units) > 1:
         raise InputError(
@@ -141,8 +147,8 @@ def _in_mm(path: Path, content: str, unit: str | None) -> str:
         if named not in (None, "mm", unit) and in_mm(name) in COLUMNS:
             remedy = "rename the columns" if unit else f'give --unit {named}, or a line `# unit = "{named}"`'
             raise InputError(f"{path}: column {name} is in {named}, not in {unit or 'mm'}; {remedy}")
-    lines[at] = ",".join(in_mm(name) if in_mm(name) in COLUMNS else name for name in names)
-    return "\n".join(lines)
+    renamed = ",".join(in_mm(name) if in_mm(name) in COLUMNS else name for name in names)
+    return content.removesuffix(body) + renamed + end + rows
 
 
 def _numbers(name: str, column: Sequence[str], points: Places) -> Any:

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from bssrdf.errors import InputError
 from bssrdf.session.checks import known_keys, shown
@@ -92,21 +93,23 @@ class TextColumns(NamedTuple):
 
     header: list[str]
     columns: list[Sequence[str]]
-    lines: list[int]
+    lines: NDArray[np.int64]
 
 
 def parse_columns(file: Path, content: str, known: Sequence[str], needed: Sequence[str]) -> TextColumns:
-    """`parse_csv` by columns; a plain table of many rows is cut at its commas at once."""
-    every = content.split("\n")
-    lines = [number for number, line in enumerate(every, 1) if line]
-    rows = [every[number - 1] for number in lines]
-    if '"' in content or not rows or len({row.count(",") for row in rows}) > 1:
+    """`parse_csv` by columns; a plain table of many rows is cut at its commas at once, each line's end a field too."""
+    body = content.strip("\n")
+    head, _, rows = body.partition("\n")
+    width, count = head.count(",") + 1, rows.count("\n") + 1
+    fields = rows.replace("\n", ",\n,").split(",")
+    whole = len(fields) == count * (width + 1) - 1 and {*fields[width :: width + 1]} <= {"\n"}
+    if not rows or not whole or '"' in body:
         table = parse_csv(file, content, known, needed)
         columns: list[Sequence[str]] = list(zip(*table.rows, strict=True))
-        return TextColumns(table.header, columns or [()] * len(table.header), table.lines)
-    header = parse_csv(file, rows[0], known, needed).header
-    fields = ",".join(rows[1:]).split(",") if rows[1:] else []
-    return TextColumns(header, [fields[at :: len(header)] for at in range(len(header))], lines[1:])
+        return TextColumns(table.header, columns or [()] * len(table.header), np.array(table.lines, int))
+    header = parse_csv(file, head, known, needed).header
+    first = content.index(body) + 2
+    return TextColumns(header, [fields[at :: width + 1] for at in range(width)], np.arange(first, first + count))
 
 
 def _check_commas(file: Path, header: Sequence[str], needed: Sequence[str]) -> None:

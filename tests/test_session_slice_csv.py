@@ -16,6 +16,7 @@ from bssrdf.errors import InputError
 from bssrdf.session.records import ChannelSlice, Slice
 from bssrdf.session.slice_csv import read_slice, write_slice
 from bssrdf.session.slice_units import doubt
+from bssrdf.session.text_file import parse_columns
 
 POSITIVE = st.floats(1e-60, 1e60)
 NUMBERS = POSITIVE | st.floats(-1e60, -1e-60) | st.just(0.0)
@@ -154,6 +155,21 @@ def test_large_slice_is_read_exactly(tmp_path: Path) -> None:
     curve = Slice({"R": part, "G": part}, 1.3, "entering", "hemisphere")
     write_slice(tmp_path / "slice.csv", curve)
     assert_same(read_slice(tmp_path / "slice.csv"), curve)
+
+
+@given(
+    st.lists(st.lists(st.sampled_from(["a", "1.5", "", " "]), min_size=1, max_size=4), max_size=6), st.integers(0, 2)
+)
+def test_cut_at_its_commas_a_table_is_what_a_reader_of_csv_finds(rows: list[list[str]], blank: int) -> None:
+    text = "\n" * blank + "\n".join(map(",".join, [["a", "b"], *rows])) + "\n"
+    found = []
+    for content in (text, text.replace("a,b", '"a",b', 1)):  # a quoted field takes the long way
+        try:
+            table = parse_columns(Path("x.csv"), content, ["a", "b"], ["a", "b"])
+            found.append(repr((table.header, [*map(list, table.columns)], table.lines.tolist())))
+        except InputError as error:
+            found.append(str(error))
+    assert found[0] == found[1]
 
 
 def test_failed_write_leaves_the_old_file_alone(minimal: Path) -> None:
