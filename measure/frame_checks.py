@@ -109,7 +109,7 @@ def check_even(shorter: Level, longer: Level, local: LocalRatios, whole: float) 
     y, x = np.median(local.place_px[uneven], axis=0)
     times = float(np.exp(np.median(local.log[uneven]) - whole))
     raise InputError(
-        f"{longer.files[0]}: shows around pixel ({x:.0f}, {y:.0f}) {times:.2g} times the light of {shorter.files[0]}, "
+        f"{longer.files[0]}: shows around pixel ({x:.0f}, {longer.rows[round(y)]}) {times:.2g} times the light of {shorter.files[0]}, "
         "over that in the whole; take both again (a file that was cut, a shutter half open, a picture that moved?)"
     )
 

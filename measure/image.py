@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from bssrdf.calib import Spot, Surface, find_spot, radius_on_tile
 from bssrdf.errors import InputError
-from bssrdf.measure.hdr import SATURATED, Hdr
+from bssrdf.measure.hdr import HOT, SATURATED, Hdr
 from bssrdf.measure.pixels import grids_of, mosaic_period
 from bssrdf.measure.pyramid import Blocks, Pyramid
 from bssrdf.measure.tail import Estimate
@@ -91,7 +91,8 @@ class Image:
 
     def is_saturated(self, channel: str) -> bool:
         """Whether some pixel of the channel is saturated in every exposure, hot ones left out."""
-        return any(bool((pyramid.grid.mask & SATURATED).any()) for pyramid in self.pyramids[channel])
+        masks = [pyramid.grid.mask for pyramid in self.pyramids[channel]]
+        return any(bool(((mask & (SATURATED | HOT)) == SATURATED).any()) for mask in masks)
 
     def outline(self, spot: Spot) -> tuple[Array, Array]:
         """The edge of the frame on the surface, (across, along) from the spot, once round."""

@@ -41,6 +41,8 @@ class Level:
     brightest: NDArray[Any]
     """Largest raw value of each pixel over the frames [DN]."""
     n_darks: int
+    rows: NDArray[np.int_]
+    """Of the frame, that are compared."""
     light: list[float] = field(default_factory=list)
     """Of each frame [DN], over the same pixels, clear of noise and of saturation."""
     n_light: int = 0
@@ -89,7 +91,7 @@ def levels_of(bracket: Bracket, sensor: Sensor) -> Iterator[Level]:
             _check_brighter_than_dark(shot, signal, float(np.sqrt(sensor.read_var_dn())))
             if level is None or clear is None:
                 floor = float(np.nanpercentile(thinned(signal), _DARKEST))
-                level = Level(label_s, [], signal, floor, sample.raw, sample.n_darks)
+                level = Level(label_s, [], signal, floor, sample.raw, sample.n_darks, np.arange(len(whole.raw))[rows])
                 clear = sensor.unsaturated(sample.raw) & (signal > least_signal(sensor))
                 level.n_light = int(np.count_nonzero(clear))
             else:

@@ -10,6 +10,7 @@ import numpy as np
 from bssrdf.calib import Exposures, Spot
 from bssrdf.errors import InputError
 from bssrdf.fit import Held, held
+from bssrdf.measure.glints import without_glints
 from bssrdf.measure.image import (
     Image,
     beam_on_sample,
@@ -88,12 +89,14 @@ def measure_slice(
     `timing` and `exposures` are of the brackets that were merged here; images merged elsewhere have none.
     """
     material, geometry, tile = _tables(session)
+    (sample, on_sample), (reference, on_tile) = without_glints(sample), without_glints(reference)
     spots = sample.spot, reference.spot
     angles = geometry.view_angle_deg, session.beam.incidence_deg
     around = Surroundings(max(material.eta, 1.0), max(material.g or 0.0, 0.0), *angles, _held(session, material))
     around_tile = Surroundings(_TILE_ETA, 0.0, *angles)
     beam = beam_on_sample(sample, *spots, coplanar=tile.coplanar)
     flags = _image_flags(session, sample, reference, spots)
+    flags += [Flag.GLINT] if on_sample or on_tile else []
     given_mm = session.beam.spot_radius_mm
     radius = Estimate(given_mm, 0.0) if given_mm else beam_on_tile(reference, spots[1], geometry.view_angle_deg)
     core_mm = spot_radius_mm(reference, spots[1])

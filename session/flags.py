@@ -25,7 +25,7 @@ class Flag(StrEnum):
     ANISOTROPIC = (
         "anisotropic",
         "measure",
-        "The sample's isophotes are ellipses, the tile's are not: its fibres or layers guide the light.",
+        "The sample's isophotes are ellipses, the tile's are not: fibres guide the light, or its frames are turned by 90°.",
     )
     ASPECT_OFF = (
         "aspect_off",
@@ -130,6 +130,11 @@ class Flag(StrEnum):
         "glare",
         "measure",
         "An even floor lies under the sample's light, as veiling glare makes it: --glare subtracts it.",
+    )
+    GLINT = (
+        "glint",
+        "measure",
+        "Some pixels off the spot are saturated in every exposure, as by a glint: they and those around were left out.",
     )
     INCIDENCE_OBLIQUE = (
         "incidence_oblique",

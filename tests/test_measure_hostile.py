@@ -16,11 +16,14 @@ from numpy.typing import NDArray
 
 from bssrdf.bench.frame_faults import EXPOSURES_S, good, scene, write_session
 from bssrdf.calib.counts import step_dn
+from bssrdf.calib.exposures import LocalRatios
 from bssrdf.calib.frame_model import Exposures
 from bssrdf.calib.surface import Surface
 from bssrdf.errors import InputError
+from bssrdf.measure.frame_checks import check_even
 from bssrdf.measure.hdr import Hdr
 from bssrdf.measure.image import Image
+from bssrdf.measure.levels import Level
 from bssrdf.measure.profile import RadialProfile
 from bssrdf.measure.session import measure_session
 from bssrdf.measure.slice import SliceOptions, measure_slice
@@ -140,6 +143,54 @@ def test_half_open_shutter_is_refused(session: Session) -> None:
     dark = tifffile.imread(frames / f"sample_dark_{LAST}_0.tif")
     change(session, f"sample_{LAST}_*", lambda raw: np.where(np.arange(len(raw))[:, None] < 97, dark, raw))
     refused(session, rf"sample_{LAST}_0\.tif: shows (around pixel|1)")
+
+
+def test_place_of_a_fault_is_that_in_the_frame_though_few_of_its_rows_are_compared() -> None:
+    """Light that fails below row 3000 of a frame of which one row in ten is looked at."""
+    rows = np.arange(0, 4000, 10)
+    level = Level(1.0, ["frame.tif"], np.zeros(0, np.float32), 0.0, np.zeros(0), 1, rows)
+    place = np.stack(np.meshgrid(np.arange(0, 400, 4), np.arange(0, 400, 4), indexing="ij"), axis=-1).reshape(-1, 2)
+    log = np.where(rows[place[:, 0]] > 3000, np.log(4.0), 0.0)
+    with pytest.raises(InputError, match=r"around pixel \(198, 3\d\d\d\)"):
+        check_even(level, level, LocalRatios(log, place), 0.0)
+
+
+def bright(rows: slice, columns: slice) -> Callable[[NDArray], NDArray]:
+    """Saturated at a place."""
+
+    def how(raw: NDArray) -> NDArray:
+        out = raw.copy()
+        out[rows, columns] = scene().sensor.white_dn
+        return out
+
+    return how
+
+
+@pytest.mark.parametrize("kind", ["sample", "reference"])
+def test_a_glint_that_saturates_throughout_is_left_out_and_said(session: Session, kind: str) -> None:
+    change(session, f"{kind}_[0-9]*", bright(slice(40, 42), slice(60, 63)))
+    found = measure_session(session).slice
+    assert holds(found)
+    assert found is not None
+    assert "glint" in found.flags
+    assert "saturated" not in found.flags
+
+
+def test_a_pixel_that_is_stuck_at_white_in_the_dark_too_is_hot_and_no_glint(session: Session) -> None:
+    change(session, "*", bright(slice(40, 41), slice(60, 61)))
+    found = measure_session(session).slice
+    assert holds(found)
+    assert found is not None
+    assert not {"glint", "saturated"} & set(found.flags)
+
+
+def test_a_glint_in_the_spot_itself_is_saturation(session: Session) -> None:
+    height, width = scene().sensor.shape
+    change(session, "sample_[0-9]*", bright(slice(height // 2, height // 2 + 1), slice(width // 2, width // 2 + 1)))
+    found = measure_session(session).slice
+    assert found is not None
+    assert not found.total_r
+    assert "saturated" in found.flags
 
 
 def test_spot_that_lies_beside_that_of_a_coplanar_tile_is_refused(session: Session) -> None:
