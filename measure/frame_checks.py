@@ -107,9 +107,10 @@ def check_even(shorter: Level, longer: Level, local: LocalRatios, whole: float) 
     if np.count_nonzero(uneven) < max(LEAST_PLACES, _UNEVEN_SHARE * len(uneven)):
         return
     y, x = np.median(local.place_px[uneven], axis=0)
+    row = longer.rows[round(y)]
     times = float(np.exp(np.median(local.log[uneven]) - whole))
     raise InputError(
-        f"{longer.files[0]}: shows around pixel ({x:.0f}, {longer.rows[round(y)]}) {times:.2g} times the light of {shorter.files[0]}, "
+        f"{longer.files[0]}: shows around pixel ({x:.0f}, {row}) {times:.2g} times the light of {shorter.files[0]}, "
         "over that in the whole; take both again (a file that was cut, a shutter half open, a picture that moved?)"
     )
 
