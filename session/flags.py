@@ -25,7 +25,7 @@ class Flag(StrEnum):
     ANISOTROPIC = (
         "anisotropic",
         "measure",
-        "The sample's isophotes are ellipses, the tile's are not: its fibres guide the light, or its frames are turned.",
+        "The sample's isophotes are ellipses, the tile's are not: fibres guide the light, or its frames are turned.",
     )
     ASPECT_OFF = (
         "aspect_off",
