@@ -16,6 +16,8 @@ if TYPE_CHECKING:
     from bssrdf.measure.hdr import merge as merge
     from bssrdf.measure.hdr import read_ahead as read_ahead
     from bssrdf.measure.image import Image as Image
+    from bssrdf.measure.levels import corrections_of as corrections_of
+    from bssrdf.measure.levels import straight as straight
     from bssrdf.measure.merged import Merged as Merged
     from bssrdf.measure.merged import StaleImages as StaleImages
     from bssrdf.measure.merged import read_merged as read_merged

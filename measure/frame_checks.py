@@ -18,7 +18,9 @@ _BLUNDER = float(np.log(1.2))
 _SAME_LIGHT = 0.03
 _NO_LIGHT = float(np.log(30))
 _FLOOR_SD = 10.0
-"""Noises by which the darkest pixels lie above black where the dark is of another black."""
+"""Noises by which the darkest pixels lie above black where the dark is of another black,"""
+_DARKEST_FRAMES = 3
+"""in so many of the shortest frames alike: light would rise with the exposure."""
 LEAST_PLACES, _UNEVEN_SHARE = 5, 0.02
 """So many places, and this share of them, show that frames differ from place to place,"""
 _UNEVEN = float(np.log(2))
@@ -53,7 +55,6 @@ def check_light(
     without light.
     """
     files = {(kind, level.label_s): level.files[0] for kind, each in levels.items() for level in each}
-    floor_of = {(kind, level.label_s): level.floor_dn for kind, each in levels.items() for level in each}
     found = {**rough, **_log_ratios(comparisons)}
     stated = {pair: float(np.log(frames[pair[1]].seconds / frames[pair[0]].seconds)) for pair in found}
     off = {pair: found[pair] - stated[pair] for pair in found if abs(found[pair] - stated[pair]) > _BLUNDER}
@@ -68,11 +69,14 @@ def check_light(
     first, second = max(off, key=lambda pair: abs(off[pair]))
     shorter, longer = (files[_name(frames[at])] for at in (first, second))
     light, expected = float(np.exp(found[first, second])), float(np.exp(stated[first, second]))
-    floors = [floor_of[_name(frames[at])] for at in (first, second)]
-    if min(floors) > _FLOOR_SD * noise_dn and max(floors) < (1 + _SAME_LIGHT) * min(floors):
+    of_kind = levels[frames[first].kind][:_DARKEST_FRAMES]
+    floors = [level.floor_dn for level in of_kind]
+    if min(floors) > _FLOOR_SD * noise_dn and max(floors) < np.sqrt(of_kind[-1].label_s / of_kind[0].label_s) * min(
+        floors
+    ):
         raise InputError(
-            f"{shorter}: lies {floors[0]:.4g} DN above its dark even where it is darkest, and so does {longer}: their "
-            "darks are of another black; take them with the camera set as for the frames"
+            f"{of_kind[0].files[0]}: lies {floors[0]:.4g} DN above its dark even where it is darkest, and so does "
+            f"{of_kind[-1].files[0]}: their darks are of another black; take them with the camera set as for the frames"
         )
     if abs(found[first, second]) < _SAME_LIGHT:
         raise InputError(

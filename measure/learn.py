@@ -199,7 +199,9 @@ def _compare_pair(found: _Found, before: Level, level: Level, sensor: Sensor, pe
     fine = before.unsaturated(sensor), level.unsaturated(sensor)
     near = beside(~fine[0]), beside(~fine[1])
     rough = rough_log_ratio(a, b, fine[0] & fine[1], sensor)
-    local = local_log_ratios(a, b, fine[0] & fine[1], ratio, sensor)
+    # Above the darkest pixels: there a black that moved since the dark was taken is not in the ratio.
+    above = [each.signal - np.float32(max(each.floor_dn, 0.0)) for each in (before, level)]
+    local = local_log_ratios(above[0], above[1], fine[0] & fine[1], ratio, sensor)
     if rough is None and len(local.log) >= LEAST_PLACES:
         rough = float(np.median(local.log))
     if rough is not None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import groupby
 from typing import Any
@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from bssrdf.calib import Gain, Sensor, by_row, least_signal, pair_gain, rows_of, thinned
+from bssrdf.calib import BEND_PIVOT, Gain, Sensor, by_row, least_signal, pair_gain, rows_of, thinned
 from bssrdf.errors import InputError
 from bssrdf.measure.bracket import Bracket
 from bssrdf.measure.hdr import DarkPaired, Shot, read_ahead
@@ -168,3 +168,31 @@ class Correction:
             leak = by_row(np.add, np.zeros(dark.shape, np.float32), rows_of(self.leak_dn, dark.shape))
             dark += leak * beside(~self.sensor.unsaturated(sample.raw))
         return sample._replace(dark=dark)
+
+
+def straight(sample: DarkPaired, sensor: Sensor) -> NDArray[np.float32]:
+    """Light above the dark [DN] of a response whose bend is taken out, as the merge counts it."""
+    shown = np.subtract(sample.raw, sample.dark, dtype=np.float32)
+    pivot = np.float32(BEND_PIVOT * sensor.span_dn()) if sensor.bend else np.float32(0)
+    return np.asarray(shown + np.float32(sensor.bend_per_dn()) * shown * (shown - pivot))
+
+
+def plain_corrections(corrections: Mapping[tuple[str, float], Correction]) -> dict[str, Any]:
+    """By kind and label, for provenance."""
+    return {
+        f"{kind} {label:g}": {"offset_dn": list(each.offset_dn), "leak_dn": list(each.leak_dn)}
+        for (kind, label), each in corrections.items()
+    }
+
+
+def corrections_of(
+    provenance: Mapping[str, Any], kind: str, labels_s: Sequence[float], sensor: Sensor
+) -> dict[tuple[str, float], Correction]:
+    """The corrections that a merge went by, from its provenance."""
+    told = provenance.get("corrections", {})
+    named = {label: told.get(f"{kind} {label:g}") for label in labels_s}
+    return {
+        (kind, label): Correction(tuple(each["offset_dn"]), tuple(each["leak_dn"]), sensor)
+        for label, each in named.items()
+        if each
+    }

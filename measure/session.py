@@ -17,6 +17,7 @@ from bssrdf.measure.frame_checks import warm_dark
 from bssrdf.measure.hdr import Hdr, Progress, flattened, merge
 from bssrdf.measure.image import Image
 from bssrdf.measure.learn import Learnt, learn_camera
+from bssrdf.measure.levels import plain_corrections
 from bssrdf.measure.merged import Merged, Told, inputs_of, read_elsewhere, read_merged
 from bssrdf.measure.pixels import channel_names, mosaic_period
 from bssrdf.measure.plot import write_scene_png, write_slice_png
@@ -246,6 +247,7 @@ def _provenance(
         "gain_rel_sd": learnt.gain_rel_sd,
         "exposures_rel_sd": _relative(learnt.exposures),
         "nonlinearity": learnt.nonlinearity,
+        "corrections": plain_corrections(learnt.corrections),
     }
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bssrdf.calib import Sensor
-from bssrdf.measure import Hdr, bracket_of, grids_of, read_ahead
+from bssrdf.measure import Hdr, bracket_of, corrections_of, grids_of, read_ahead, straight
 from bssrdf.session import dark_for, from_plain
 from bssrdf.session.records import Frame, Session
 
@@ -88,12 +88,13 @@ def left_out(
         if len(bracket.frames) < 2 or len(seconds) != len(bracket.frames):
             continue
         signals, lit = [], []
-        for done, (_, sample) in enumerate(read_ahead(bracket.shots(seconds))):
+        corrections = corrections_of(provenance, kind, [frame.exposure_s for frame in bracket.frames], sensor)
+        for done, (_, sample) in enumerate(read_ahead(bracket.shots(seconds, corrections))):
             if progress:
                 progress(f"leave out {kind}", done, len(seconds))
             step = max(1, sample.raw.shape[0] * sample.raw.shape[1] // _PIXELS)
             keep = sensor.unsaturated(sample.raw).reshape(-1)[::step]
-            signals.append((sample.raw.astype(np.float32) - sample.dark).reshape(-1)[::step].astype(float))
+            signals.append(straight(sample, sensor).reshape(-1)[::step].astype(float))
             lit.append(keep)
         by_label = provenance.get("exposures_rel_sd", {})
         found += _predicted(kind, bracket.frames, np.array(seconds), np.array(signals), np.array(lit), sensor, by_label)

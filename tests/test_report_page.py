@@ -17,10 +17,12 @@ import pytest
 from browser import chromium, show
 from filmed import edit, film, marble
 
+from bssrdf.bench.frame_faults import Shown, write_session
 from bssrdf.calib import Surface
 from bssrdf.cli import cli
 from bssrdf.commands.console import run
 from bssrdf.measure.scene import on_image
+from bssrdf.measure.session import measure_session
 from bssrdf.report.evidence import gather
 from bssrdf.report.halves import halves
 from bssrdf.report.left_out import left_out
@@ -250,6 +252,22 @@ def test_a_wrong_exposure_is_found_by_the_others(good: Path) -> None:
     worst = max(found, key=lambda each: abs(each.departure))
     assert (worst.kind, round(worst.exposure_s, 3)) == ("sample", 0.25)
     assert worst.departure == pytest.approx(1 / 1.06 - 1, abs=0.01)
+
+
+def test_black_that_the_merge_took_off_is_taken_off_before_a_frame_is_predicted(tmp_path: Path) -> None:
+    session = write_session(tmp_path / "s", raised, seed=3)
+    provenance = measure_session(session, hdr_only=True).provenance
+    frames = read_frames(session.path)
+    taken_off = left_out(session, frames, provenance)
+    left_in = left_out(session, frames, provenance | {"corrections": {}})
+    assert not isinstance(taken_off, str)
+    assert not isinstance(left_in, str)
+    assert all(each.holds for each in taken_off)
+    assert not all(each.holds for each in left_in)
+
+
+def raised(frames: list[Shown], rng: np.random.Generator) -> list[Shown]:
+    return [replace(each, black_dn=12.0) if each.kind == "sample" else each for each in frames]
 
 
 def test_noise_above_its_bound_is_found(good: Path) -> None:
