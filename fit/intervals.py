@@ -1,6 +1,6 @@
 """95 % intervals by profile likelihood, for where the cost is not a parabola: σa near 0.
 
-The profile holds q and lets everything else find its best again. A bound lies where the cost has risen by the quantile
+The profile holds σa and lets everything else find its best again. A bound lies where the cost has risen by the quantile
 of χ² with one degree of freedom: 2.71 for a one-sided bound, 3.84 for each end of an interval.
 """
 
@@ -21,12 +21,12 @@ ONE_SIDED = 2.706
 TWO_SIDED = 3.841
 FLOOR_Q = 1e-6
 CLOSE = 1e-6
-"""In ln q, where a bound has been found."""
+"""In ln σa, where a bound has been found."""
 PROBES = 60
 
 
 class Profile(NamedTuple):
-    """σa and σs′ at the best q ≥ 0 and the σa at which the bounds lie, (b,); inf where the cost never rises enough."""
+    """σa and σs′ at the best q ≥ 0, and bounds of σa, (b,); inf where the cost never rises enough."""
 
     sigma_a: Floats
     sigma_sp: Floats
@@ -39,45 +39,45 @@ def profile(plan: Plan, model: Light, data: Problem, found: Solution, inflation:
     bounds σa."""
     plan = plan.curve_alone
 
-    def held(q: Floats) -> tuple[Floats, Floats, Floats]:
-        """Cost and coefficients with this q and everything else at its best."""
-        begin = found.point._replace(q=q)
-        rest = optimise(
-            NUMPY, plan, model, data, found.laid, begin, 10 * REST, relay=False, weights=found.weights, held_q=True
-        )
-        sigma_a, sigma_sp = coefficients(rest.point.log_sigma, q)
-        return rest.cost / inflation, sigma_a[:, 0], sigma_sp[:, 0]
+    def held(log_a: Floats) -> tuple[Floats, Floats]:
+        """Cost and σs′ with this ln σa and everything else at its best."""
+        begin = found.point._replace(q=np.sqrt(3 * np.exp(log_a - found.point.log_sigma)))
+        keep: dict[str, Any] = {"weights": found.weights, "held_sigma_a": True}
+        rest = optimise(NUMPY, plan, model, data, found.laid, begin, 10 * REST, relay=False, **keep)
+        return rest.cost / inflation, coefficients(rest.point.log_sigma, rest.point.q)[1][:, 0]
 
-    best_q = np.maximum(found.point.q, FLOOR_Q)
-    lowest, sigma_a, sigma_sp = held(best_q)
+    def log_a_of(q: Floats | float) -> Floats:
+        return np.asarray(found.point.log_sigma + 2 * np.log(q) - np.log(3))
+
+    best = log_a_of(np.maximum(found.point.q, FLOOR_Q))
+    lowest, sigma_sp = held(best)
 
     def bound(rise: float, edge: float) -> tuple[Floats, Any]:
         """σa where the cost has risen by `rise` on the way to q = `edge`, and whether it has risen so much there."""
-        near, far = np.log(best_q), np.full_like(best_q, np.log(edge))
+        near, far = best, log_a_of(edge)
         near_rise = np.full_like(lowest, -rise)
-        far_rise = held(np.exp(far))[0] - lowest - rise
+        far_rise = held(far)[0] - lowest - rise
         crossed = far_rise >= 0
-        at = held(np.exp(far))[1]
+        middle = far
         for _ in range(PROBES):  # Illinois: a secant that never keeps an end for long
             slope = np.where(far_rise != near_rise, far_rise - near_rise, 1.0)
             middle = near - near_rise[:, None] * (far - near) / slope[:, None]
             middle = np.where(np.isfinite(middle), middle, (near + far) / 2)
-            cost, at, _ = held(np.exp(middle))
-            here = cost - lowest - rise
+            here = held(middle)[0] - lowest - rise
             below = here < 0
             far_rise = np.where(below, far_rise / 2, here)
             near_rise = np.where(below, here, near_rise / 2)
             near, far = np.where(below[:, None], middle, near), np.where(below[:, None], far, middle)
             if np.all((np.abs(here) < CLOSE) | (np.abs(far - near)[:, 0] < CLOSE) | ~crossed):
                 break
-        return at, crossed
+        return np.exp(middle)[:, 0], crossed
 
     lower, two_sided = bound(TWO_SIDED, FLOOR_Q)
     upper, ends = bound(TWO_SIDED, model.q_max)
     one_sided, one_ends = bound(ONE_SIDED, model.q_max)
     above = two_sided & (found.point.q[:, 0] > FLOOR_Q)
     return Profile(
-        sigma_a=np.where(found.point.q[:, 0] > FLOOR_Q, sigma_a, 0.0),
+        sigma_a=np.where(found.point.q[:, 0] > FLOOR_Q, np.exp(best)[:, 0], 0.0),
         sigma_sp=sigma_sp,
         lower=np.where(above, lower, 0.0),
         upper=np.where(above, np.where(ends, upper, np.inf), np.where(one_ends, one_sided, np.inf)),

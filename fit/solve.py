@@ -13,8 +13,8 @@ import numpy as np
 from bssrdf.fit.finite import q_of_sample, scanned
 from bssrdf.fit.laying import answering, costly, curve, lay, lay_plainly, look
 from bssrdf.fit.layout import Total
-from bssrdf.fit.problem import Gaps, Laid, Looked, Neighbours, Plan, Point, Problem, System, Weights, held_any
-from bssrdf.fit.terms import cost_at, elimination, keeping, meeting, system, totals_of, weigh
+from bssrdf.fit.problem import Laid, Looked, Neighbours, Plan, Point, Problem, System, Weights, held_any
+from bssrdf.fit.terms import cost_at, elimination, holding_sigma_a, keeping, meeting, system, totals_of, weigh
 from bssrdf.transport import R_MAX
 from bssrdf.transport.arrays import Engine
 from bssrdf.transport.finite import Sample
@@ -87,7 +87,7 @@ class Marginal(NamedTuple):
     answer: Any
     """(b, K, p): how they fall as the free parameters grow."""
     keeps: tuple[Any, Any] | None
-    """Where R is exact: (b, P) what q falls by as each other parameter grows, and (b, 1) the q that is missing."""
+    """Where a condition fixes q: (b, P) what it falls by as each other parameter grows, and (b, 1) what it lacks."""
 
 
 class _State(NamedTuple):
@@ -161,19 +161,21 @@ def optimise(
     beside: Neighbours | None = None,
     weights: Weights | None = None,
     shared: Any = None,
-    held_q: bool = False,
+    held_sigma_a: bool = False,
     most: int = MAX_STEPS,
 ) -> Solution:
     """Damped Gauss–Newton from `begin`; with `relay` the weights follow each step, with `beside` the shared responses
-    too, else they stay as given."""
+    too, else they stay as given. `held_sigma_a` keeps σa as it begins; R is not a condition then."""
     xp = e.xp
-    columns = tuple(k for k in plan.free if not (held_q and k == 1))
+    columns = tuple(k for k in plan.free if not (held_sigma_a and k == 1))
     b = begin.q.shape[0]
     zeros = xp.zeros(b)
 
-    def reduced(data: Problem, laid: Laid, seen: Looked, by: Weights) -> Marginal:
+    def reduced(data: Problem, laid: Laid, seen: Looked, by: Weights, at: Point) -> Marginal:
         gaps = totals_of(e, plan, data, laid, seen)
-        return marginal(e, plan, gaps, system(e, plan, data, laid, seen, gaps, by), columns)
+        full = system(e, plan, data, laid, seen, gaps, by)
+        keeps = holding_sigma_a(e, full, at) if held_sigma_a else keeping(plan, gaps)
+        return marginal(e, full, columns, keeps)
 
     def ahead(best: Point, here: Marginal, damping: Any) -> tuple[Any, Any, Point]:
         """The next move, and shared errors and point after it."""
@@ -182,7 +184,7 @@ def optimise(
             move = _within(xp, model, best.q, move, here, damping)
         move = move * xp.minimum(1.0, LONGEST_STEP / xp.maximum(xp.abs(move).max(1), TINY_MOVE))[:, None]
         errors = here.shared - xp.matmul(here.answer, move[:, :, None])[:, :, 0]
-        return move, errors, _moved(e, plan, model, best, here, move, errors, columns)
+        return move, errors, _moved(e, plan, model, best, here, move, errors, columns, held_sigma_a)
 
     def step(s: _State, data: Problem) -> _State:
         seen, laid, by = look(e, plan, model, data, s.laid, s.trial), s.laid, s.weights
@@ -190,7 +192,7 @@ def optimise(
             laid = answering(e, plan, model, data, laid, s.trial, beside, seen.curves)
         if relay:
             by = weigh(e, plan, model, data, laid, s.trial, seen, s.errors)
-        there = reduced(data, laid, seen, by)
+        there = reduced(data, laid, seen, by, s.trial)
         cost = cost_at(e, plan, data, laid, seen, s.weights) if relay else there.cost
         better = cost <= s.here.cost + SLACK * (1 + s.here.cost)
         better = better | (xp.isfinite(s.here.cost) & (_distance(xp, s.trial, s.best) < NEAR))
@@ -205,7 +207,7 @@ def optimise(
     shared = xp.zeros((b, laid.responses[0].shape[1])) if shared is None else shared
     seen = look(e, plan, model, data, laid, begin)
     by = weigh(e, plan, model, data, laid, begin, seen, shared) if weights is None else weights
-    here = reduced(data, laid, seen, by)
+    here = reduced(data, laid, seen, by, begin)
     _, errors, trial = ahead(begin, here, zeros)
     first = _State(trial, errors, begin, laid, here, by, zeros, xp.zeros(b, dtype=xp.int32), ~xp.isfinite(here.cost))
     last = e.loop(lambda s: ~s.done & (s.steps < most), step, first, data)
@@ -215,11 +217,10 @@ def optimise(
     return Solution(point, last.laid, last.weights, shared, cost, converged, cost, zeros + 1)
 
 
-def marginal(e: Engine, plan: Plan, gaps: Gaps, full: System, columns: tuple[int, ...]) -> Marginal:
-    """The normal equations in some columns alone. Where R is exact it fixes q given all else: that goes first."""
+def marginal(e: Engine, full: System, columns: tuple[int, ...], keeps: tuple[Any, Any] | None) -> Marginal:
+    """The normal equations in some columns alone. What `keeps` a condition fixes q given all else: that goes first."""
     xp = e.xp
     cost, gradient, matrix = full
-    keeps = keeping(plan, gaps)
     if keeps is not None:
         lift, shift = elimination(e, keeps)
         moved = xp.matmul(matrix, shift[:, :, None])[:, :, 0]
@@ -246,12 +247,22 @@ def marginal(e: Engine, plan: Plan, gaps: Gaps, full: System, columns: tuple[int
 
 
 def _moved(
-    e: Engine, plan: Plan, model: Light, at: Point, here: Marginal, move: Any, errors: Any, columns: tuple[int, ...]
+    e: Engine,
+    plan: Plan,
+    model: Light,
+    at: Point,
+    here: Marginal,
+    move: Any,
+    errors: Any,
+    columns: tuple[int, ...],
+    held_sigma_a: bool,
 ) -> Point:
     """The point after a move of the free parameters; q stays within the model."""
     xp = e.xp
     zero = xp.zeros_like(at.q)
     s, q_move, c = (move[:, columns.index(k)][:, None] if k in columns else zero for k in range(3))
+    if held_sigma_a:
+        return Point(at.log_sigma + s, xp.minimum(at.q * xp.exp(-s / 2), model.q_max), at.log_scale + c)
     if here.keeps is not None:
         falls, missing = here.keeps
         every = xp.concatenate([s, zero, c, errors], axis=1)

@@ -45,6 +45,12 @@ def keeping(plan: Plan, totals: Gaps) -> tuple[Any, Any] | None:
     return row / row[:, 1:2], gap / row[:, 1:2]
 
 
+def holding_sigma_a(e: Engine, full: System, at: Point) -> tuple[Any, Any]:
+    """The same where σa = σt′ q²/3 is held, and the point is on it."""
+    nothing = e.xp.zeros_like(full.gradient[:, 2:])
+    return e.xp.concatenate([at.q / 2, e.xp.ones_like(at.q), nothing], axis=1), e.xp.zeros_like(at.q)
+
+
 def elimination(e: Engine, keeps: tuple[Any, Any]) -> tuple[Any, Any]:
     """(b, P, P) that lifts a move of all other parameters to one that keeps R, and the (b, P) move that meets R."""
     xp = e.xp

@@ -266,7 +266,7 @@ ERRORS = (
         "fit/intervals.py",
         "TWO_SIDED = 3.841",
         "TWO_SIDED = 2.706",
-        ("fit_budget::a_profile_is_the_linear_interval",),
+        ("fit_budget::a_bound_of_sigma_a_is_where",),
     ),
     Mutant(
         "joint: slices against one tile draw their scales apart",

@@ -12,13 +12,18 @@ from functools import partial
 import numpy as np
 import pytest
 from builders import model_light, seen_slice, slice_of
+from scipy.optimize import minimize_scalar
 from scipy.stats import norm
 
-from bssrdf.fit.batch import Job, Options, fit_group
-from bssrdf.fit.intervals import profile
+from bssrdf.fit.batch import Fitted, Job, Options, fit_group
+from bssrdf.fit.intervals import ONE_SIDED, TWO_SIDED, profile
+from bssrdf.fit.laying import look
 from bssrdf.fit.models import Making
+from bssrdf.fit.problem import Point
 from bssrdf.fit.run import FitOptions, fit_slices
+from bssrdf.fit.terms import system, totals_of
 from bssrdf.session.records import ChannelFit, Slice
+from bssrdf.transport.arrays import NUMPY
 from bssrdf.transport.convention import camera_factor
 from bssrdf.transport.forward import DipoleModel
 from bssrdf.transport.white.store import table_model
@@ -131,19 +136,52 @@ def test_the_share_of_noise_is_what_each_radius_does_and_all_shares_make_the_cor
     assert found.correlation == pytest.approx(covariance[0, 1] / np.sqrt(covariance[0, 0] * covariance[1, 1]), abs=1e-3)
 
 
-def test_a_profile_is_the_linear_interval_where_the_cost_is_a_parabola() -> None:
-    """R alone tells q here, and to a thousandth: what a profile finds is 95 % of a normal law."""
-    piece = replace(measured("mc", Wrong()), scale_rel_sd=0.0, mm_rel_sd=0.0, eta_sd=0.0, g_sd=0.0)
-    channel = piece.channels["G"]
-    vague = replace(piece, channels={"G": replace(channel, sd_per_mm2=30 * channel.sd_per_mm2)})
+def vaguely_seen(sigma_a: float, sd: float) -> Fitted:
+    """A fit of one exact slice without shared errors, whose curve tells the scale to some `sd` only."""
+    light = table_model(ETA, G)
+    rd, total_r = model_light(light, sigma_a, SIGMA_SP, R_MM)
+    seen = {"flux": "incident", "exit": "hemisphere"}
+    factor = camera_factor(ETA, **seen, view_angle_deg=0.0, incidence_deg=0.0)
+    known = slice_of(R_MM, factor * rd, total_r=factor * total_r, total_sd=SDS["total"], **seen, eta=ETA, g=G)
+    channel = replace(known.channels["G"], sd_per_mm2=sd * factor * rd)
     options = Options("soft", scale_free=False, robust=False, window_mm=None, tables="shipped")
-    one = fit_group([Job((vague,), "G")], options, "mc", Making())
+    return fit_group([Job((replace(known, channels={"G": channel}),), "G")], options, "mc", Making())
+
+
+def test_a_profile_is_the_linear_interval_where_the_cost_is_a_parabola() -> None:
+    one = vaguely_seen(SIGMA_A, 0.02)
     bounds = profile(one.plan, one.model, one.data, one.found, np.ones(1))
-    ((var_s, cov), (_, var_q)) = sum(one.judged.sources.values())[0]
-    assert var_q < 1e-5 < var_s
-    slope = 2 / one.found.point.q[0, 0] + cov / var_q  # of ln σa by q, with ln σt′ at its best
+    turn = np.array([1, 2 / one.found.point.q[0, 0]])  # of ln σa by s and q
+    sd = np.sqrt(turn @ sum(one.judged.sources.values())[0] @ turn)
     ends = np.log([bounds.lower[0], bounds.upper[0]]) - np.log(bounds.sigma_a[0])
-    np.testing.assert_allclose(ends, norm.ppf([0.025, 0.975]) * slope * np.sqrt(var_q), rtol=0.01)
+    np.testing.assert_allclose(ends, norm.ppf([0.025, 0.975]) * sd, rtol=0.01)
+
+
+def least_cost(one: Fitted, sigma_a: float) -> float:
+    """χ² of the medium that fits best of all with this σa: every σt′ tried, shared errors at their best."""
+
+    def cost(log_sigma: float) -> float:
+        q = np.sqrt(3 * sigma_a / np.exp(log_sigma))
+        at = Point(*(np.array([[each]]) for each in (log_sigma, q, 0.0)))
+        seen = look(NUMPY, one.plan, one.model, one.data, one.found.laid, at)
+        gaps = totals_of(NUMPY, one.plan, one.data, one.found.laid, seen)
+        whole, gradient, matrix = system(NUMPY, one.plan, one.data, one.found.laid, seen, gaps, one.found.weights)
+        return float(whole[0] - gradient[0, 3:] @ np.linalg.solve(matrix[0, 3:, 3:], gradient[0, 3:]))
+
+    middle = float(one.found.point.log_sigma[0, 0])
+    return float(minimize_scalar(cost, bounds=(middle - 1, middle + 1), method="bounded", options={"xatol": 1e-9}).fun)
+
+
+@pytest.mark.parametrize("sigma_a", [5e-5, 2e-4])
+def test_a_bound_of_sigma_a_is_where_no_medium_of_that_sigma_a_fits(sigma_a: float) -> None:
+    """Curve and scale are vague, and no absorption is not far: σt′ moves along with σa."""
+    one = vaguely_seen(sigma_a, 0.3)
+    bounds = profile(one.plan, one.model, one.data, one.found, np.ones(1))
+    lowest = least_cost(one, float(bounds.sigma_a[0]))
+    for bound in (bounds.lower[0], bounds.upper[0]):
+        if bound > 0:
+            rise = least_cost(one, float(bound)) - lowest
+            assert rise == pytest.approx(ONE_SIDED if bounds.lower[0] == 0 else TWO_SIDED, rel=2e-3)
 
 
 @pytest.mark.parametrize(("key", "step"), [("eta", 0.01), ("g", 0.02)])
