@@ -22,8 +22,8 @@ Pixels = NDArray[np.float32]
 Progress = Callable[[str, int, int], None]
 PROVENANCE = "bssrdf:provenance"
 SAMPLES_A_PASS = 8
-_WHITE_POINT = 99.0
-"""Percentile of the lit pixels that comes out just below white."""
+WHITE_PERCENTILE = 99.0
+"""Of the lit pixels: the one that comes out just below white."""
 
 
 @dataclass(frozen=True)
@@ -94,11 +94,11 @@ def render_pass(stage: Stage, samples: int, seed: int) -> Pixels:
     return np.array(image, dtype=np.float32)[..., :3]
 
 
-def exposure(radiance: Pixels) -> float:
+def exposure(radiance: Pixels, percentile: float = WHITE_PERCENTILE) -> float:
     """Factor that brings the bright parts of a picture just below white."""
     luminance = radiance @ np.array([0.2126, 0.7152, 0.0722], np.float32)
     lit = luminance[luminance > 1e-3 * max(float(luminance.max()), 1e-30)]
-    return 0.8 / float(np.percentile(lit, _WHITE_POINT)) if lit.size else 1.0
+    return 0.8 / float(np.percentile(lit, percentile)) if lit.size else 1.0
 
 
 def shown(radiance: Pixels, factor: float) -> NDArray[np.uint8]:
@@ -108,7 +108,9 @@ def shown(radiance: Pixels, factor: float) -> NDArray[np.uint8]:
     return np.asarray(np.round(255 * encoded), dtype=np.uint8)
 
 
-def write_pictures(stem: Path, picture: Picture, provenance: Mapping[str, Any]) -> tuple[Path, Path]:
+def write_pictures(
+    stem: Path, picture: Picture, provenance: Mapping[str, Any], white_percentile: float = WHITE_PERCENTILE
+) -> tuple[Path, Path]:
     """Write stem.exr, parts `radiance` and `variance`, and stem.png to look at; both hold the provenance."""
     from bssrdf.session import write_exr, write_png
 
@@ -116,7 +118,7 @@ def write_pictures(stem: Path, picture: Picture, provenance: Mapping[str, Any]) 
     attributes = {PROVENANCE: json.dumps(provenance)}
     with atomic_write(exr) as part:
         write_exr(part, [("radiance", picture.radiance), ("variance", picture.variance)], attributes)
-    factor = exposure(picture.radiance)
+    factor = exposure(picture.radiance, white_percentile)
     with atomic_write(png) as part:
         write_png(part, shown(picture.radiance, factor), {PROVENANCE: json.dumps({**provenance, "exposure": factor})})
     return exr, png

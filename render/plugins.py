@@ -12,7 +12,7 @@ import numpy as np
 
 from bssrdf.render.material import RenderMaterial
 from bssrdf.render.scenes.place import looking
-from bssrdf.render.scenes.record import Body, Bump, Scene, Viewpoint
+from bssrdf.render.scenes.record import Body, Bump, Plugin, Scene, Thing, Viewpoint
 from bssrdf.render.surface_nets import TriangleMesh
 
 Model = Literal["brdf", "bssrdf", "mc"]
@@ -38,7 +38,7 @@ class RenderOptions:
 def scene_dict(scene: Scene, options: RenderOptions) -> dict[str, Any]:
     """What `mitsuba.load_dict` takes; bodies, lights and camera are named as in the scene."""
     bodies = {name: _body(body, options) for name, body in scene.bodies.items()}
-    things = {name: _plain(thing) for name, thing in [*scene.furniture.items(), *scene.lights.items()]}
+    things = {name: _thing(thing) for name, thing in [*scene.furniture.items(), *scene.lights.items()]}
     return {"type": "scene", "integrator": integrator(options), "sensor": _sensor(scene.camera), **bodies, **things}
 
 
@@ -93,6 +93,10 @@ def _bssrdf(body: Body) -> dict[str, Any]:
         "alpha": body.roughness,
     }
     return surface if body.bump is None else surface | {"bump": _bump(body.bump)}
+
+
+def _thing(thing: Plugin | Thing) -> Any:
+    return _mesh(thing.mesh, {"bsdf": _plain(thing.surface)}) if isinstance(thing, Thing) else _plain(thing)
 
 
 def _shape(shape: Mapping[str, Any] | TriangleMesh, parts: dict[str, Any]) -> Any:

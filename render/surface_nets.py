@@ -25,6 +25,12 @@ class TriangleMesh(NamedTuple):
     uv: Points
     faces: NDArray[np.uint32]
 
+    def size(self) -> float:
+        """Three times its volume over its surface: the radius of a ball."""
+        a, b, c = np.moveaxis(self.vertices[self.faces], 1, 0)
+        across = np.cross(b - a, c - a)
+        return float(abs(np.einsum("ij,ij->", a, across)) / np.linalg.norm(across, axis=1).sum())
+
 
 def surface_net(
     distance: Distance, low: Points, high: Points, spacing: float

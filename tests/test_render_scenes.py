@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 from pathlib import Path
 
 import numpy as np
@@ -13,8 +14,8 @@ from bssrdf.render.choose import LEAST_ALBEDO, WIDE, choose_model, mc_refusal, r
 from bssrdf.render.head import head_distance, head_mesh
 from bssrdf.render.material import HALF_ALBEDO, RenderMaterial, find_medium, medium_of_fit
 from bssrdf.render.scenes.catalogue import SCENES, build_scene
-from bssrdf.render.scenes.milk import turned
-from bssrdf.render.scenes.record import Body, Scene, Viewpoint
+from bssrdf.render.scenes.lathe import ring, turned
+from bssrdf.render.scenes.record import Body, Scene, Thing, Viewpoint
 from bssrdf.render.surface_nets import TriangleMesh
 from bssrdf.session.records import ChannelFit, Fit
 
@@ -63,6 +64,33 @@ def test_a_turned_body_is_closed_and_has_the_volume_of_its_profile() -> None:
     assert np.all(edges_of(ball) == 2)
     assert volume_of(ball) == pytest.approx(4 / 3 * np.pi * 8, rel=3e-3)
     assert np.einsum("ij,ij->i", ball.normals, ball.vertices / 2).min() > 0.99
+
+
+def test_a_turned_ring_is_closed_and_has_the_volume_of_its_profile() -> None:
+    square = np.array([[3.0, -1.0], [4.0, -1.0], [4.0, 1.0], [3.0, 1.0]])
+    tube = ring(square, sides=200)
+    assert np.all(edges_of(tube) == 2)
+    assert volume_of(tube) == pytest.approx(np.pi * (16 - 9) * 2, rel=1e-3)
+
+
+def test_milk_and_glass_touch_nowhere() -> None:
+    scene = build_scene("milk")
+    bodies = [body.shape for body in scene.bodies.values() if isinstance(body.shape, TriangleMesh)]
+    things = [thing.mesh for thing in scene.furniture.values() if isinstance(thing, Thing)]
+    spans = sorted((mesh.vertices[:, 2].min(), mesh.vertices[:, 2].max()) for mesh in bodies + things)
+    assert len(spans) == 3
+    assert all(below < above for (_, below), (above, _) in itertools.pairwise(spans))
+
+
+@pytest.mark.parametrize("name", ["bust", "face"])
+def test_a_mesh_stands_on_the_table_wherever_its_file_puts_it(name: str, figure: TriangleMesh) -> None:
+    moved = figure._replace(vertices=np.add(figure.vertices, (300.0, -20.0, -55.0)))
+    here, there = (build_scene(name, own={"mesh": mesh}) for mesh in (figure, moved))
+    stood = there.bodies[name].shape
+    assert isinstance(stood, TriangleMesh)
+    assert stood.vertices[:, 2].min() == pytest.approx(0, abs=1e-9)
+    np.testing.assert_allclose(stood.vertices, here.bodies[name].shape.vertices, atol=1e-9)
+    assert there.camera.origin == pytest.approx(here.camera.origin)
 
 
 def test_a_published_name_gives_its_coefficients() -> None:

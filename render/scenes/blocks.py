@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from bssrdf.errors import InputError, UsageError
 from bssrdf.render.material import RenderMaterial
-from bssrdf.render.scenes.place import SKY, beam, box, box_size, grey, moved, panel, sky, table
+from bssrdf.render.scenes.place import SKY, beam, box, box_size, moved, paint, panel, sky, table
 from bssrdf.render.scenes.record import Body, Maps, Plugin, Scene, Viewpoint
 
 LIGHTS = ("beam", "edge", SKY)
@@ -45,7 +45,7 @@ def _card(side_mm: float) -> Plugin:
     return {
         "type": "rectangle",
         "to_world": moved((-side_mm / 2, 0.0, side_mm / 100), (side_mm / 2, side_mm, 1.0)),
-        "bsdf": {"type": "twosided", "bsdf": {"type": "diffuse", "reflectance": grey(0.0)}},
+        "bsdf": {"type": "twosided", "bsdf": paint(0.0)},
     }
 
 
@@ -54,10 +54,15 @@ def block(material: RenderMaterial, **look: Any) -> Scene:
     side = BLOCK_MM
     sides = (side, side, side)
     body = Body(box((-side / 2, -side / 2, 0.0), sides), material, box_size(sides), **look)
-    spot = (-side / 2 + 4.0, -side / 2, side - 8.0)
-    lights = {"laser": beam((100.0, -1000.0, 300.0), spot, 0.8, flux=100.0), SKY: sky(0.01)}
-    camera = Viewpoint((-75.0, -105.0, 75.0), (-2.0, -2.0, 18.0), fov_deg=26.0)
-    return Scene("block", {"block": body}, lights, camera, {"table": table(0.25)}, narrow_light=True)
+    spot = (-side / 2 + 3.0, -side / 2, side - 12.0)
+    lights = {
+        "laser": beam((100.0, -1000.0, 300.0), spot, 0.8, flux=100.0),
+        "window": panel((0.0, 80.0, 220.0), (0.0, 0.0, 25.0), (50.0, 50.0), radiance=0.12, colour=(0.75, 0.9, 1.2)),
+        SKY: sky(0.0015),
+    }
+    camera = Viewpoint((-82.0, -100.0, 72.0), (-3.0, -3.0, 17.0), fov_deg=26.0)
+    furniture = {"table": table(paint(0.05))}
+    return Scene("block", {"block": body}, lights, camera, furniture, narrow_light=True, white_percentile=97.0)
 
 
 def texture(material: RenderMaterial, *, texture_path: Path | None = None, **look: Any) -> Scene:
@@ -67,7 +72,7 @@ def texture(material: RenderMaterial, *, texture_path: Path | None = None, **loo
     body = Body(box((-TILE_MM / 2, -TILE_MM / 2, 0.0), sides), material, box_size(sides), maps=maps, **look)
     lights = {"panel": panel((-70.0, 30.0, 60.0), (0.0, 0.0, 0.0), (25.0, 25.0), radiance=9.0), SKY: sky(0.2)}
     camera = Viewpoint((0.0, -90.0, 110.0), (0.0, 0.0, 6.0), fov_deg=30.0)
-    return Scene("texture", {"tile": body}, lights, camera, {"table": table(0.3)})
+    return Scene("texture", {"tile": body}, lights, camera, {"table": table(paint(0.3))})
 
 
 def _maps(material: RenderMaterial, tone: NDArray[np.float32]) -> Maps:

@@ -20,6 +20,7 @@ class Entry(NamedTuple):
     build: Callable[..., Scene]
     material: str
     g: float | None = None
+    roughness: float = 0.0
     takes: tuple[str, ...] = ()
     """Options of its own."""
 
@@ -27,9 +28,9 @@ class Entry(NamedTuple):
 SCENES = {
     "slab": Entry(slab, "Marble", takes=("light",)),
     "block": Entry(block, "Marble"),
-    "bust": Entry(bust, "Marble", takes=("mesh",)),
+    "bust": Entry(bust, "Marble", roughness=0.2, takes=("mesh",)),
     "milk": Entry(milk, "Skimmilk"),
-    "face": Entry(face, "Skin1", g=0.85, takes=("mesh",)),
+    "face": Entry(face, "Skin1", g=0.85, roughness=0.3, takes=("mesh",)),
     "texture": Entry(texture, "Marble", takes=("texture_path",)),
 }
 
@@ -39,7 +40,7 @@ def build_scene(
     *,
     material: str | None = None,
     g: float | None = None,
-    roughness: float = 0.0,
+    roughness: float | None = None,
     width_px: int | None = None,
     own: Mapping[str, Any] | None = None,
 ) -> Scene:
@@ -56,7 +57,8 @@ def build_scene(
         raise UsageError(f"the scene {name} takes no {key.removesuffix('_path')}; {', '.join(takers)} does")
     if g is None and material is None:
         g = entry.g
-    scene = entry.build(find_medium(material or entry.material, g=g), roughness=roughness, **given)
+    alpha = entry.roughness if roughness is None else roughness
+    scene = entry.build(find_medium(material or entry.material, g=g), roughness=alpha, **given)
     if width_px is None:
         return scene
     width, height = scene.camera.pixels

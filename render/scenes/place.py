@@ -11,6 +11,7 @@ from bssrdf.render.scenes.record import Plugin, Vector
 
 Matrix = NDArray[np.float64]
 SKY = "sky"
+_WIDE_MM = 5000.0
 
 
 def moved(offset: Vector, scale: Vector | float = 1.0) -> Matrix:
@@ -31,23 +32,34 @@ def looking(origin: Vector, target: Vector, up: Vector = (0.0, 0.0, 1.0), scale:
     return matrix
 
 
-def grey(value: float) -> Plugin:
-    """The same in every channel."""
-    return {"type": "rgb", "value": [value] * 3}
+def rgb(*values: float) -> Plugin:
+    """A colour; one value for all channels, or three."""
+    return {"type": "rgb", "value": [float(value) for value in np.broadcast_to(values, 3)]}
+
+
+def paint(*reflectance: float) -> Plugin:
+    """A matt surface; one value for all channels, or three."""
+    return {"type": "diffuse", "reflectance": rgb(*reflectance)}
+
+
+POLISHED = {"type": "plastic", "int_ior": 1.5, "diffuse_reflectance": rgb(0.035, 0.03, 0.025)}
+"""Dark, for tables."""
 
 
 def sky(radiance: float) -> Plugin:
     """Light from everywhere."""
-    return {"type": "constant", "radiance": grey(radiance)}
+    return {"type": "constant", "radiance": rgb(radiance)}
 
 
-def panel(origin: Vector, target: Vector, half_mm: tuple[float, float], radiance: float) -> Plugin:
+def panel(
+    origin: Vector, target: Vector, half_mm: tuple[float, float], radiance: float, colour: Vector = (1.0, 1.0, 1.0)
+) -> Plugin:
     """A rectangle that shines towards the target."""
     up = (0.0, 0.0, 1.0) if abs(target[2] - origin[2]) < math.dist(origin, target) else (0.0, 1.0, 0.0)
     return {
         "type": "rectangle",
         "to_world": looking(origin, target, up, (*half_mm, 1.0)),
-        "emitter": {"type": "area", "radiance": grey(radiance)},
+        "emitter": {"type": "area", "radiance": rgb(*np.multiply(radiance, colour))},
     }
 
 
@@ -64,7 +76,7 @@ def beam(origin: Vector, target: Vector, radius_mm: float, flux: float) -> Plugi
     return {
         "type": "spot",
         "to_world": looking((lamp[0], lamp[1], lamp[2]), target, up),
-        "intensity": grey(flux / math.pi * (distance / radius_mm) ** 2),
+        "intensity": rgb(flux / math.pi * (distance / radius_mm) ** 2),
         "cutoff_angle": angle,
         "beam_width": angle * (1 - 1e-5),
     }
@@ -82,10 +94,12 @@ def box_size(sides: Vector) -> float:
     return 3 * x * y * z / (2 * (x * y + y * z + z * x))
 
 
-def table(reflectance: float) -> Plugin:
-    """A wide matt floor at z = 0."""
-    return {
-        "type": "rectangle",
-        "to_world": moved((0.0, 0.0, 0.0), (2000.0, 2000.0, 1.0)),
-        "bsdf": {"type": "diffuse", "reflectance": grey(reflectance)},
-    }
+def table(surface: Plugin) -> Plugin:
+    """A wide floor at z = 0."""
+    return {"type": "rectangle", "to_world": moved((0.0, 0.0, 0.0), (_WIDE_MM, _WIDE_MM, 1.0)), "bsdf": surface}
+
+
+def wall(middle: Vector, surface: Plugin) -> Plugin:
+    """A wide upright wall that faces the scene's origin."""
+    towards = looking(middle, (0.0, 0.0, middle[2]), scale=(_WIDE_MM, _WIDE_MM, 1.0))
+    return {"type": "rectangle", "to_world": towards, "bsdf": surface}

@@ -47,6 +47,14 @@ class Body:
 
 
 @dataclass(frozen=True)
+class Thing:
+    """An opaque or clear mesh, and its surface."""
+
+    mesh: TriangleMesh
+    surface: Plugin
+
+
+@dataclass(frozen=True)
 class Viewpoint:
     """Perspective, or orthographic where `width_mm` is given."""
 
@@ -76,7 +84,9 @@ class Scene:
     bodies: Mapping[str, Body]
     lights: Mapping[str, Plugin]
     camera: Viewpoint
-    furniture: Mapping[str, Plugin] = field(default_factory=dict)
+    furniture: Mapping[str, Plugin | Thing] = field(default_factory=dict)
     """Opaque or clear things, with their surfaces."""
     narrow_light: bool = False
     """Whether the light is so narrow that volpath does not find it through a smooth boundary."""
+    white_percentile: float = 99.0
+    """Of the lit pixels: the one that a picture shows just below white."""
