@@ -37,6 +37,8 @@ class Judged(NamedTuple):
     grown: Any
     """(b,): what variances grow by, χ² where it is known and above 1: those of the curves' own errors where residuals
     scatter, and all where they run, since a shape that is off puts everything in doubt."""
+    errors_known: Any
+    """(b,): whether all curves came with errors."""
     n: Any
     """(b,): radii in the window, a faded one in part."""
     total_r: Any
@@ -84,7 +86,7 @@ def judge(e: Engine, plan: Plan, model: Light, data: Problem, found: Solution) -
         off = model_sd(e, plan, model, data, laid, at, seen_k[0], k)
         allowed = allowed + _gram(xp, x, xp.where(c.errors_known, mass * off, 0.0) ** 2)
     own = sources["noise"] = _seen(xp, answer, noise)
-    if model.name == "mc":
+    if not model.biased:
         of_table = _seen(xp, answer, allowed)
         sources["table"] = sources.get("table", 0.0) + of_table
         own = own + of_table
@@ -96,6 +98,7 @@ def judge(e: Engine, plan: Plan, model: Light, data: Problem, found: Solution) -
         sources=sources,
         chi2=chi2,
         grown=grown,
+        errors_known=known,
         n=n,
         total_r=seen.totals[0][0][:, 0],
         total_r_half_space=seen.half[:, 0],

@@ -18,6 +18,8 @@ TABLE_MODES = 4
 """Cosines along ln r by which a table's own noise is shared: more are too fine to look like a change of σa or σs′."""
 EXIT_MODES = 2
 """Amplitude, and slope in ln r."""
+AT_0 = 1e-6
+"""Of q: σa is then below 1e-12 of σs′."""
 OF_MEDIUM: tuple[Source, ...] = ("eta", "g")
 OF_SAMPLE: tuple[Source, ...] = ("thickness", "back")
 OF_CURVE: tuple[Source, ...] = ("length", *OF_MEDIUM)
@@ -55,6 +57,11 @@ class Plan(NamedTuple):
     def weighed(self) -> int:
         """How many R are data."""
         return 0 if self.exact else len(self.totals)
+
+    def bent(self, q: Any, q_sd: Any, parabolic: float) -> Any:
+        """(b,): whether linear errors of q (b,) do not describe σa: at 0, or within `parabolic` sd where R is not a
+        condition that fixes q."""
+        return (q < AT_0) & ~(q_sd > 0) if self.exact else ~(q > parabolic * q_sd)
 
     @property
     def curve_alone(self) -> Plan:

@@ -23,10 +23,10 @@ from bssrdf.fit.models import (
     tabulated,
     truth_of,
 )
-from bssrdf.fit.neighbours import bias, dipole_on_light, refitted, sample_error, sensitivities, table_error, to_log
+from bssrdf.fit.neighbours import bias, dipole_on_light, refitted, sample_error, sensitivities, table_error
 from bssrdf.fit.problem import Constraint
-from bssrdf.fit.sample_verdict import is_thin
-from bssrdf.fit.verdict import FEWEST, Extra, channel_fits, covariances, needs_profile
+from bssrdf.fit.sample_verdict import thin_rows
+from bssrdf.fit.verdict import FEWEST, Extra, channel_fits, needs_profile, relative_sds
 from bssrdf.session.flags import Flag
 from bssrdf.session.records import ChannelFit, Slice
 from bssrdf.transport import NORMAL, Policy
@@ -135,8 +135,7 @@ def batches(jobs: Sequence[Job], options: FitOptions, making: Making) -> Iterato
 def _dipole_will_do(fitted: Fitted) -> np.ndarray:
     """The rule of `models.RULE`: whether the dipole, fitted to the table's light, finds its medium."""
     assert isinstance(fitted.model, WhiteTable)
-    turn = to_log(fitted.found.point.q)
-    sd = np.sqrt(np.maximum(np.einsum("bij,bjk,bik->bi", turn, covariances(fitted), turn), 0.0))
+    sd = relative_sds(fitted)
     good = fitted.found.converged & (sd > DIPOLE_BEST).all(axis=1)
     rows = np.flatnonzero(good)
     if rows.size:
@@ -161,46 +160,37 @@ def _subset(fitted: Fitted, rows: np.ndarray) -> Fitted:
 
 def extra_of(fitted: Fitted, making: Making) -> Extra:
     """What further models say of a batch."""
-    extra = Extra(_profiles(fitted), [{}] * len(fitted.jobs), _slopes(fitted), _others(fitted), None, True)
+    slopes = sensitivities(fitted.plan, fitted.model, fitted.data, fitted.found, fitted.judged, fitted.beside)
+    extra = Extra(_profiled(fitted), None, slopes, _others(fitted), None, True)
     of_sample = sample_error(fitted.plan, fitted.found, fitted.judged)
     if isinstance(fitted.model, WhiteTable):
         error = np.hypot(of_sample, table_error(fitted.model, fitted.data, fitted.found, fitted.judged))
-        return extra._replace(model_error=_by_name(error))
+        return extra._replace(model_error=error)
     piece = fitted.jobs[0].pieces[0]
     truth = truth_of(piece, fitted.options.tables, making)
     if truth is None:
         return extra._replace(checked=False)
     found = bias(fitted.plan, truth, fitted.data, fitted.found)
-    return extra._replace(model_error=_by_name(np.hypot(of_sample, found.error)), bias=found, checked=truth.own)
+    return extra._replace(model_error=np.hypot(of_sample, found.error), bias=found, checked=truth.own)
 
 
-def _by_name(error: np.ndarray) -> list[dict[str, float]]:
-    return [{"sigma_a": float(a), "sigma_sp": float(sp)} for a, sp in error]
-
-
-def _profiles(fitted: Fitted) -> dict[int, Profile]:
+def _profiled(fitted: Fitted) -> tuple[np.ndarray, Profile] | None:
     wanted = np.flatnonzero(needs_profile(fitted) & fitted.found.converged & (fitted.judged.n >= FEWEST))
     if not wanted.size:
-        return {}
+        return None
     part = _subset(fitted, wanted)
-    known = np.all([c.errors_known[:, 0] for c in part.data.curves], axis=0)
-    grown = np.where(known, part.judged.grown / part.found.ease, np.maximum(part.judged.chi2, 1e-300))
-    found = profile(part.plan, part.model, part.data, part.found, grown)
-    return {int(row): Profile(*(each[at : at + 1] for each in found)) for at, row in enumerate(wanted)}
-
-
-def _slopes(fitted: Fitted) -> list[dict[str, float]]:
-    found = sensitivities(fitted.plan, fitted.model, fitted.data, fitted.found, fitted.judged, fitted.beside)
-    return [{key: float(each[row]) for key, each in found.items()} for row in range(len(fitted.jobs))]
+    grown = np.where(
+        part.judged.errors_known, part.judged.grown / part.found.ease, np.maximum(part.judged.chi2, 1e-300)
+    )
+    return wanted, profile(part.plan, part.model, part.data, part.found, grown)
 
 
 def _others(fitted: Fitted) -> list[tuple[str, ...]]:
     """Flags of rows whose curve does not fit here and far better under another g or η, with other coefficients."""
     raised: list[tuple[str, ...]] = [() for _ in fitted.jobs]
-    thin = np.array([is_thin(fitted, row) for row in range(len(fitted.jobs))])
-    poor = np.flatnonzero(surely_poor(fitted.judged) & fitted.found.converged & ~thin)
+    poor = np.flatnonzero(surely_poor(fitted.judged) & fitted.found.converged & ~thin_rows(fitted))
     piece = fitted.jobs[0].pieces[0]
-    if not poor.size or fitted.model.name != "mc" or beam_of(piece) != NORMAL:
+    if not poor.size or fitted.model.biased or beam_of(piece) != NORMAL:
         return raised
     part = _subset(fitted, poor)
     g = ASSUMED_G if piece.g is None else piece.g
@@ -221,7 +211,5 @@ def _fits_better(part: Fitted, other: Light, at: int) -> bool:
     if not again.cost[0] < MUCH_BETTER * found.cost[0]:
         return False
     ours, theirs = (np.concatenate(coefficients(p.log_sigma, p.q)) for p in (found.point, again.point))
-    turn = to_log(found.point.q)
-    covariance = covariances(_subset(part, rows))
-    sd = np.sqrt(np.einsum("bij,bjk,bik->bi", turn, covariance, turn))[0]
+    sd = relative_sds(_subset(part, rows))[0]
     return bool((np.abs(np.log(np.maximum(theirs, 1e-300) / np.maximum(ours, 1e-300)))[:, 0] > 1.96 * sd).any())

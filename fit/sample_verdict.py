@@ -7,13 +7,16 @@ from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from bssrdf.fit.batch import Fitted
 from bssrdf.fit.holding import Held, assumed, held
+from bssrdf.fit.problem import held_any
 from bssrdf.session.flags import Flag
 from bssrdf.session.records import Slice
 
 NAN = float("nan")
+Bools = NDArray[np.bool_]
 BRIGHT = 0.6
 """Of a half space's R: from here on σa hangs on the light that comes back from the depth."""
 THIN, THIN_ON_BLACK = 4.0, 8.0
@@ -41,9 +44,15 @@ class InSample(NamedTuple):
     flags: Mapping[str, bool]
 
 
+NOTHING = InSample(NAN, NAN, NAN, {})
+"""Of slices that say nothing of depth, back or wall."""
+
+
 def in_sample(fitted: Fitted, row: int, sigma_a_shares: Mapping[str, float], rel_sd: float, off: float) -> InSample:
     """From the row's optimum; `rel_sd` of σa with its shares of the variance, `off` its relative model error."""
     pieces = fitted.jobs[row].pieces
+    if not any(_told(piece) for piece in pieces):
+        return NOTHING
     sigma_tp = math.exp(float(fitted.found.point.log_sigma[row, 0]))
     q = max(float(fitted.found.point.q[row, 0]), 0.0)
     every = [held(piece) for piece in pieces]
@@ -79,10 +88,18 @@ def in_sample(fitted: Fitted, row: int, sigma_a_shares: Mapping[str, float], rel
     )
 
 
-def is_thin(fitted: Fitted, row: int) -> bool:
-    """Whether the ratio itself may be off by more than the data: then no misfit is held against anything else."""
-    sigma_tp = math.exp(float(fitted.found.point.log_sigma[row, 0]))
-    return any(one.thickness * sigma_tp < THIN_ON_BLACK for one in map(held, fitted.jobs[row].pieces))
+def thin_rows(fitted: Fitted) -> Bools:
+    """Rows whose ratio itself may be off by more than the data: then no misfit is held against anything else."""
+    sigma_tp = np.exp(fitted.found.point.log_sigma[:, 0])
+    if not held_any(fitted.plan):
+        return np.zeros(sigma_tp.size, bool)
+    depths = np.array([min(held(piece).thickness for piece in job.pieces) for job in fitted.jobs])
+    return np.asarray(depths * sigma_tp < THIN_ON_BLACK)
+
+
+def _told(piece: Slice) -> bool:
+    """Whether the slice says anything of its sample's bounds."""
+    return (piece.thickness_mm, piece.width_mm, piece.backing, piece.cover) != (None, None, None, "none")
 
 
 def _thin(one: Held, sigma_tp: float, bright: bool, least: float, on_black: float) -> bool:

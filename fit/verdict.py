@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,12 +13,13 @@ from bssrdf.fit.intervals import Profile
 from bssrdf.fit.layout import camera_factor
 from bssrdf.fit.models import OBLIQUE_DEG, is_clamped
 from bssrdf.fit.neighbours import Bias, to_log
-from bssrdf.fit.sample_verdict import in_sample, is_thin
+from bssrdf.fit.sample_verdict import InSample, in_sample, thin_rows
 from bssrdf.session.flags import Flag
 from bssrdf.session.records import ChannelFit, Slice, Status
 from bssrdf.transport.light import coefficients
 
 Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
 NAN = float("nan")
 Z95 = 1.959964
 PARABOLIC = 4.0
@@ -52,29 +52,48 @@ MAX_LOST = 0.05
 REJECTING = (Flag.TOTAL_INCONSISTENT, Flag.SHAPE_MISFIT, Flag.G_SUSPECT, Flag.ETA_SUSPECT)
 NAMES = {"exit": "exit_law"}
 """Sources by the name that the budget has for them, where it differs."""
+STATED = ("noise", "total", "scale", "length", "spot", "view", "g", "eta")
+"""Errors that a slice may state."""
 
 
 class Extra(NamedTuple):
     """What was found out about a batch by asking further models."""
 
-    profiles: Mapping[int, Profile]
-    model_error: Sequence[dict[str, float]]
-    sensitivity: Sequence[dict[str, float]]
+    profiled: tuple[NDArray[np.int_], Profile] | None
+    """Rows whose σa has a profile, and those."""
+    model_error: Floats | None
+    """(b, 2), relative, of σa and σs′; None where no table tells."""
+    sensitivity: Mapping[str, Floats]
     other_models: Sequence[tuple[str, ...]]
     """Flags of rows that another g or η fits far better."""
     bias: Bias | None
-    """The dipole's own, where a table tells it."""
+    """That of a model which a table tells."""
     checked: bool
     """False where no table of the medium itself was at hand."""
 
 
-def needs_profile(fitted: Fitted) -> NDArray[np.bool_]:
+class _Answer(NamedTuple):
+    """By row: coefficients [1/mm] with their sd (b,) and 95 % intervals (b, 2)."""
+
+    sigma_a: Floats
+    sd_a: Floats
+    interval_a: Floats
+    sigma_sp: Floats
+    sd_sp: Floats
+    interval_sp: Floats
+    correlation: Floats
+
+
+class _Used(NamedTuple):
+    """By row: data that counted, and the window that they span [mm], NaN without any."""
+
+    n: NDArray[np.int_]
+    window: Floats
+
+
+def needs_profile(fitted: Fitted) -> Bools:
     """Rows whose linear errors do not describe σa: at its boundary, or near it where R is not an exact condition."""
-    q = fitted.found.point.q[:, 0]
-    q_sd = np.sqrt(covariances(fitted)[:, 1, 1])
-    if fitted.plan.exact:
-        return (q < 1e-6) & ~(q_sd > 0)
-    return ~(q > PARABOLIC * q_sd)
+    return fitted.plan.bent(fitted.found.point.q[:, 0], np.sqrt(covariances(fitted)[:, 1, 1]), PARABOLIC)
 
 
 def covariances(fitted: Fitted) -> Floats:
@@ -83,144 +102,148 @@ def covariances(fitted: Fitted) -> Floats:
     return covariance
 
 
-def budgets(fitted: Fitted) -> list[dict[str, dict[str, float]]]:
-    """Shares of the variances of ln σa and ln σs′ by source, by row; each adds up to 1."""
+def relative_sds(fitted: Fitted) -> Floats:
+    """(b, 2) of σa and σs′, all sources."""
+    turn = to_log(fitted.found.point.q)
+    return np.sqrt(np.maximum(np.einsum("bij,bjk,bik->bi", turn, covariances(fitted), turn), 0.0))
+
+
+def _shares(fitted: Fitted) -> dict[str, Floats]:
+    """(b, 2) by source: shares of the variances of ln σa and ln σs′; they add up to 1."""
     turn = to_log(fitted.found.point.q)
     parts = {
         NAMES.get(name, name): np.einsum("bij,bjk,bik->bi", turn, each, turn)
         for name, each in fitted.judged.sources.items()
     }
     whole = np.maximum(sum(parts.values()), 1e-300)
-    shares = {name: part / whole for name, part in parts.items()}
-    return [
-        {
-            key: {name: float(share[row, column]) for name, share in shares.items() if share[row, column] > 0}
-            for column, key in enumerate(("sigma_a", "sigma_sp"))
-        }
-        for row in range(len(fitted.jobs))
-    ]
+    return {name: part / whole for name, part in parts.items()}
 
 
 def channel_fits(fitted: Fitted, extra: Extra) -> list[ChannelFit]:
     """What is reported of every row."""
-    covariance = covariances(fitted)
-    turn = to_log(fitted.found.point.q)
-    sds = np.sqrt(np.maximum(np.einsum("bij,bjk,bik->bi", turn, covariance, turn), 0.0))
-    cross = np.einsum("bj,bjk,bk->b", turn[:, 0], covariance, turn[:, 1])
-    with np.errstate(divide="ignore", invalid="ignore"):
-        correlation = cross / (sds[:, 0] * sds[:, 1])
-    shares = budgets(fitted)
+    answer, shares, used = _answers(fitted, extra), _shares(fitted), _used(fitted)
+    samples = [_in_sample(fitted, extra, answer, shares, row) for row in range(len(fitted.jobs))]
+    flags = _flags(fitted, extra, answer, used, samples)
+    for row in np.flatnonzero(np.isfinite(np.concatenate(fitted.rival, axis=1)).all(axis=1)):
+        if Flag.FEW_RADII not in flags[row]:
+            _join_rival(fitted, answer, flags, int(row))
     return [
-        _channel_fit(fitted, extra, row, covariance[row], sds[row], float(correlation[row]), shares[row])
-        for row in range(len(fitted.jobs))
+        _channel_fit(fitted, extra, row, answer, shares, used, sample, tuple(names))
+        for row, (sample, names) in enumerate(zip(samples, flags, strict=True))
     ]
+
+
+def _answers(fitted: Fitted, extra: Extra) -> _Answer:
+    log_sigma, q = (each[:, 0] for each in fitted.found.point[:2])
+    covariance, turn, sds = covariances(fitted), to_log(fitted.found.point.q), relative_sds(fitted)
+    cross = np.einsum("bj,bjk,bk->b", turn[:, 0], covariance, turn[:, 1])
+    sigma_a, sigma_sp = coefficients(log_sigma, q)
+    interval = _linear_interval(log_sigma, q, np.sqrt(covariance[:, 1, 1]), sigma_a, sds[:, 0])
+    sd_a = sigma_a * sds[:, 0]
+    if extra.profiled is not None:
+        rows, profile = extra.profiled
+        sigma_a[rows], sigma_sp[rows] = profile.sigma_a, profile.sigma_sp
+        interval[rows] = np.stack([profile.lower, profile.upper], axis=1)
+        sd_a[rows] = (profile.upper - profile.lower) / (2 * Z95)
+    sd_sp = sigma_sp * sds[:, 1]
+    return _Answer(
+        sigma_a, sd_a, interval, sigma_sp, sd_sp, spread_of(sigma_sp, sd_sp), cross / (sds[:, 0] * sds[:, 1])
+    )
+
+
+def spread_of(value: Floats, sd: Floats) -> Floats:
+    """(b, 2): 95 % of a quantity that cannot be negative: its logarithm is taken as normal."""
+    spread = np.exp(np.minimum(Z95 * sd / value, 50.0))
+    known = (value > 0) & np.isfinite(sd)
+    return np.stack([np.where(known, value / spread, 0.0), np.where(known, value * spread, np.inf)], axis=1)
+
+
+def _linear_interval(log_sigma: Floats, q: Floats, q_sd: Floats, sigma_a: Floats, rel_sd: Floats) -> Floats:
+    """σa at q ± 1.96 sd; far from 0 that is the lognormal interval, and at 0 it stays one-sided."""
+    scale = np.exp(log_sigma) / 3
+    about = np.stack([scale * np.maximum(q + sign * Z95 * q_sd, 0.0) ** 2 for sign in (-1, 1)], axis=1)
+    return np.where((q > PARABOLIC * q_sd)[:, None], spread_of(sigma_a, sigma_a * rel_sd), about)
+
+
+def _used(fitted: Fitted) -> _Used:
+    b = len(fitted.jobs)
+    count, lo, hi = np.zeros(b, int), np.full(b, np.inf), np.full(b, -np.inf)
+    for c, used in zip(fitted.data.curves, fitted.judged.used, strict=True):
+        count += ((c.known != 0).sum(axis=2) * used).sum(axis=1)
+        lo = np.minimum(lo, np.where(used, c.r_lo, np.inf).min(axis=1))
+        hi = np.maximum(hi, np.where(used, c.r_hi, -np.inf).max(axis=1))
+    return _Used(count, np.where(np.isfinite(lo)[:, None], np.stack([lo, hi], axis=1), NAN))
+
+
+def _in_sample(fitted: Fitted, extra: Extra, answer: _Answer, shares: Mapping[str, Floats], row: int) -> InSample:
+    rel_sd = float(answer.sd_a[row] / answer.sigma_a[row]) if answer.sigma_a[row] > 0 else np.inf
+    off = 0.0 if extra.model_error is None else float(extra.model_error[row, 0])
+    return in_sample(fitted, row, {name: float(each[row, 0]) for name, each in shares.items()}, rel_sd, off)
 
 
 def _channel_fit(
     fitted: Fitted,
     extra: Extra,
     row: int,
-    covariance: Floats,
-    rel_sd: Floats,
-    correlation: float,
-    shares: dict[str, dict[str, float]],
+    answer: _Answer,
+    shares: Mapping[str, Floats],
+    used: _Used,
+    sample: InSample,
+    flags: tuple[str, ...],
 ) -> ChannelFit:
-    job, profile = fitted.jobs[row], extra.profiles.get(row)
-    q, log_sigma = float(fitted.found.point.q[row, 0]), float(fitted.found.point.log_sigma[row, 0])
-    sigma_a, sigma_sp = (float(each) for each in coefficients(log_sigma, q))
-    interval = _linear_interval(log_sigma, q, float(np.sqrt(covariance[1, 1])), sigma_a, float(rel_sd[0]))
-    sd_a = sigma_a * float(rel_sd[0])
-    if profile is not None:
-        sigma_a, sigma_sp = float(profile.sigma_a[0]), float(profile.sigma_sp[0])
-        interval = (float(profile.lower[0]), float(profile.upper[0]))
-        sd_a = (interval[1] - interval[0]) / (2 * Z95)
-    sp_interval = spread_of(sigma_sp, sigma_sp * float(rel_sd[1]))
-    off = extra.model_error[row].get("sigma_a", 0.0)
-    sample = in_sample(fitted, row, shares["sigma_a"], sd_a / sigma_a if sigma_a > 0 else np.inf, off)
-    flags = list(_flags(fitted, extra, row, interval, float(rel_sd[1]), sample.flags))
-    interval, sp_interval, flags = _with_rival(fitted, row, interval, sp_interval, flags)
-    status = _status(flags)
-    no_sigma_a = Flag.SIGMA_A_UNIDENTIFIABLE in flags
-    if sample.flags[Flag.SIGMA_A_UNIDENTIFIABLE]:
-        interval = (NAN, NAN)
-    result = ChannelFit(
+    job, status, judged = fitted.jobs[row], _status(flags), fitted.judged
+    told = status not in ("rejected", "unidentifiable", "failed")  # no number of the others can be trusted
+    told_a = told and Flag.SIGMA_A_UNIDENTIFIABLE not in flags
+    unbounded = not told or sample.flags.get(Flag.SIGMA_A_UNIDENTIFIABLE, False)
+    sigma_a, sd_a, interval_a, sigma_sp, sd_sp, interval_sp, correlation = (each[row].tolist() for each in answer)
+    return ChannelFit(
         model=fitted.model.name,
-        sigma_a_per_mm=NAN if no_sigma_a else sigma_a,
-        sigma_a_sd_per_mm=NAN if no_sigma_a else sd_a,
-        sigma_a_interval95_per_mm=interval,
-        sigma_sp_per_mm=sigma_sp,
-        sigma_sp_sd_per_mm=sigma_sp * float(rel_sd[1]),
-        sigma_sp_interval95_per_mm=sp_interval,
-        correlation=correlation,
+        sigma_a_per_mm=sigma_a if told_a else NAN,
+        sigma_a_sd_per_mm=sd_a if told_a else NAN,
+        sigma_a_interval95_per_mm=(NAN, NAN) if unbounded else tuple(interval_a),
+        sigma_sp_per_mm=sigma_sp if told else NAN,
+        sigma_sp_sd_per_mm=sd_sp if told else NAN,
+        sigma_sp_interval95_per_mm=tuple(interval_sp) if told else (NAN, NAN),
+        correlation=correlation if told else NAN,
         total_r_measured=_mean([p.total_r.get(job.channel, NAN) for p in job.pieces]),
-        total_r_model=float(fitted.judged.total_r[row]),
-        total_r_half_space=float(fitted.judged.total_r_half_space[row]),
+        total_r_model=float(judged.total_r[row]) if told else NAN,
+        total_r_half_space=float(judged.total_r_half_space[row]) if told else NAN,
         tau_p=sample.tau_p,
         sample_effect=(sample.log_total, sample.least_ratio),
-        window_mm=_window(fitted, row),
-        n=_count(fitted, row),
-        chi2_reduced=float(fitted.judged.chi2[row]) if _errors_known(fitted, row) else NAN,
+        window_mm=tuple(used.window[row].tolist()),
+        n=int(used.n[row]),
+        chi2_reduced=float(judged.chi2[row]) if judged.errors_known[row] else NAN,
         status=status,
-        flags=tuple(flags),
-        model_error=extra.model_error[row],
-        sensitivity=extra.sensitivity[row],
-        budget=shares if status == "converged" and not no_sigma_a else {},
+        flags=flags,
+        model_error=_by_name(extra.model_error[row]) if told and extra.model_error is not None else {},
+        sensitivity={name: float(each[row]) for name, each in extra.sensitivity.items()} if told else {},
+        budget=_budget(shares, row) if status == "converged" and told_a else {},
         not_stated=_not_stated(fitted, row),
     )
-    return _untold(result) if status in ("rejected", "unidentifiable", "failed") else result
 
 
-def _untold(result: ChannelFit) -> ChannelFit:
-    """The fit without its numbers: none of them can be trusted."""
-    none = (NAN, NAN)
-    return replace(
-        result,
-        sigma_a_per_mm=NAN,
-        sigma_a_sd_per_mm=NAN,
-        sigma_a_interval95_per_mm=none,
-        sigma_sp_per_mm=NAN,
-        sigma_sp_sd_per_mm=NAN,
-        sigma_sp_interval95_per_mm=none,
-        correlation=NAN,
-        total_r_model=NAN,
-        total_r_half_space=NAN,
-        model_error={},
-        sensitivity={},
-        budget={},
-    )
+def _by_name(of_both: Floats) -> dict[str, float]:
+    return dict(zip(("sigma_a", "sigma_sp"), of_both.tolist(), strict=True))
 
 
-def spread_of(value: float, sd: float) -> tuple[float, float]:
-    """95 % of a quantity that cannot be negative: its logarithm is taken as normal."""
-    if not value > 0 or not np.isfinite(sd):
-        return (0.0, float("inf"))
-    spread = float(np.exp(min(Z95 * sd / value, 50.0)))
-    return value / spread, value * spread
+def _budget(shares: Mapping[str, Floats], row: int) -> dict[str, dict[str, float]]:
+    each_of = [_by_name(share[row]) for share in shares.values()]
+    return {
+        key: {name: each[key] for name, each in zip(shares, each_of, strict=True) if each[key] > 0}
+        for key in ("sigma_a", "sigma_sp")
+    }
 
 
-def _linear_interval(log_sigma: float, q: float, q_sd: float, sigma_a: float, rel_sd: float) -> tuple[float, float]:
-    """σa at q ± 1.96 sd; far from 0 that is the lognormal interval, and at 0 it stays one-sided."""
-    if q > PARABOLIC * q_sd:
-        return spread_of(sigma_a, sigma_a * rel_sd)
-    scale = float(np.exp(log_sigma)) / 3
-    return scale * max(q - Z95 * q_sd, 0.0) ** 2, scale * max(q + Z95 * q_sd, 0.0) ** 2
-
-
-Interval = tuple[float, float]
-
-
-def _with_rival(
-    fitted: Fitted, row: int, interval: Interval, sp_interval: Interval, flags: list[str]
-) -> tuple[Interval, Interval, list[str]]:
+def _join_rival(fitted: Fitted, answer: _Answer, flags: list[list[str]], row: int) -> None:
     """One interval for two media that fit alike; where it would say nothing, that is said."""
-    other = [float(each[row, 0]) for each in fitted.rival]
-    if not np.isfinite(other).all() or Flag.FEW_RADII in flags:
-        return interval, sp_interval, flags
-    sigma_a, sigma_sp = (float(each) for each in coefficients(other[0], other[1]))
-    a = (min(interval[0], sigma_a), max(interval[1], sigma_a))
-    sp = (min(sp_interval[0], sigma_sp), max(sp_interval[1], sigma_sp))
+    sigma_a, sigma_sp = (float(each) for each in coefficients(*(float(each[row, 0]) for each in fitted.rival[:2])))
+    for interval, other in ((answer.interval_a, sigma_a), (answer.interval_sp, sigma_sp)):
+        interval[row] = min(interval[row, 0], other), max(interval[row, 1], other)
+    a, sp = answer.interval_a[row], answer.interval_sp[row]
+    flags[row].append(Flag.TWO_MEDIA)
     far = sp[1] > TWO_MEDIA * sp[0] or a[1] > TWO_MEDIA**2 * max(a[0], 1e-300)
-    return a, sp, [*flags, Flag.TWO_MEDIA, *([Flag.NOISE] if far and Flag.NOISE not in flags else [])]
+    if far and Flag.NOISE not in flags[row]:
+        flags[row].append(Flag.NOISE)
 
 
 def _status(flags: Sequence[str]) -> Status:
@@ -233,129 +256,119 @@ def _status(flags: Sequence[str]) -> Status:
     return "upper_bound" if {Flag.ALBEDO_ONE, Flag.TOTAL_AT_LIMIT} & set(flags) else "converged"
 
 
-def _flags(
-    fitted: Fitted, extra: Extra, row: int, interval: Interval, rel_sd: float, of_sample: Mapping[str, bool]
-) -> list[str]:
-    """The names from `Flag` that hold for this fit."""
-    job, plan, judged = fitted.jobs[row], fitted.plan, fitted.judged
-    pieces = job.pieces
-    q, sigma_tp = float(fitted.found.point.q[row, 0]), float(np.exp(fitted.found.point.log_sigma[row, 0]))
-    totals = [p.total_r.get(job.channel, NAN) / camera_factor(p) for p in pieces]
-    known = _errors_known(fitted, row)
-    dipole = fitted.model.name == "dipole"
-    own_pull, own_drift = (0.0, 0.0) if extra.bias is None else _allowed(extra.bias, row)
-    own_drift += np.inf if is_thin(fitted, row) else 0.0
-    untested = dipole and not extra.model_error[row]
-    count = _count(fitted, row)
-    end = _window(fitted, row)[1]
-    held: dict[str, bool] = {
-        Flag.ALBEDO_ONE: interval[0] <= 0,
-        Flag.DIPOLE_UNCHECKED: dipole and not extra.checked,
-        Flag.FEW_RADII: count < FEWEST,
-        Flag.G_ASSUMED: pieces[0].g is None and not dipole,
-        Flag.G_CLAMPED: is_clamped(pieces[0].g) and not dipole,
-        Flag.INCIDENCE_OBLIQUE: dipole and any(p.incidence_deg >= OBLIQUE_DEG for p in pieces),
-        Flag.JOINT: len(pieces) > 1,
-        Flag.LIGHT_LOST: any((p.lost_fraction or {}).get(job.channel, 0.0) > MAX_LOST for p in pieces),
-        Flag.NOISE: not rel_sd < MAX_REL_SD,
-        Flag.NOT_CONVERGED: not bool(fitted.found.converged[row]) or untested,
-        Flag.POOR_FIT: known and float(judged.chi2[row]) > POOR_CHI2,
-        Flag.POOR_FIT_RUNS: known and float(judged.runs_z[row]) > POOR_RUNS,
-        Flag.ROBUST: plan.robust,
-        Flag.ROBUST_ADVISED: known and not plan.robust and _outliers(fitted, row),
-        Flag.SCALE_FREE: plan.scale_free,
-        Flag.SCALE_SD_UNKNOWN: any(p.scale_rel_sd is None for p in pieces),
-        Flag.SCALE_SUSPECT: not plan.scale_free and not all(
-            _within_reason(p, job.channel, r) for p, r in zip(pieces, totals, strict=True)
-        ),
-        Flag.SD_FILLED: any(bool(c.filled[row, 0]) for c in fitted.data.curves),
-        Flag.SD_UNKNOWN: not known,
-        Flag.SHAPE_MISFIT: known and float(judged.drift[row]) > MOST_DRIFT + own_drift,
-        Flag.SIGMA_A_UNIDENTIFIABLE: not np.isfinite(interval[1]),
-        Flag.SINGLE_SCATTERING: dipole and q > np.sqrt(1.5),
-        Flag.SPOT_WIDE: any((p.spot_radius_mm or 0.0) * sigma_tp > 1 for p in pieces),
-        Flag.TOTAL_AT_LIMIT: bool(plan.totals) and any(r >= 1 for r in totals),
-        Flag.TOTAL_INCONSISTENT: abs(float(judged.pull[row])) > MOST_PULL + own_pull,
-        Flag.TOTAL_UNKNOWN: all(np.isnan(totals)),
-        Flag.WINDOW_SHORT: end * max(q, 0.0) * sigma_tp < 1,
-    }  # fmt: skip
-    held = {name: held.get(name, False) or of_sample.get(name, False) for name in sorted({*held, *of_sample})}
-    if held[Flag.FEW_RADII]:
-        return [name for name in (Flag.FEW_RADII, Flag.G_ASSUMED, Flag.SCALE_SD_UNKNOWN, Flag.SD_UNKNOWN) if held[name]]
-    measured = [flag for p in pieces for flag in p.flags]
-    return list(dict.fromkeys([*(n for n, holds in held.items() if holds), *extra.other_models[row], *measured]))
+def _flags(fitted: Fitted, extra: Extra, answer: _Answer, used: _Used, samples: Sequence[InSample]) -> list[list[str]]:
+    """By row the names from `Flag` that hold for this fit, and those of its slices."""
+    held = _held(fitted, extra, answer, used)
+    names = sorted({*held, *(name for sample in samples for name in sample.flags)})
+    none = np.zeros(len(samples), bool)
+    holds = np.array([held.get(name, none) | none for name in names]).T
+    if any(sample.flags for sample in samples):
+        holds |= np.array([[sample.flags.get(name, False) for name in names] for sample in samples])
+    few = [names.index(name) for name in (Flag.FEW_RADII, Flag.G_ASSUMED, Flag.SCALE_SD_UNKNOWN, Flag.SD_UNKNOWN)]
+    raised = []
+    for job, row, other in zip(fitted.jobs, holds, extra.other_models, strict=True):
+        if row[few[0]]:
+            raised.append([names[at] for at in few if row[at]])
+            continue
+        measured = [flag for piece in job.pieces for flag in piece.flags]
+        raised.append(list(dict.fromkeys([*(names[at] for at in np.flatnonzero(row)), *other, *measured])))
+    return raised
 
 
-def _allowed(own: Bias, row: int) -> tuple[float, float]:
-    """What the dipole's own error makes of R and curve on exact light, with room."""
-    return BIAS_ROOM * float(own.pull[row]), BIAS_ROOM * float(own.drift[row])
-
-
-def _outliers(fitted: Fitted, row: int) -> bool:
-    """Whether a few radii lie far from their neighbours, which all follow one another."""
-    if not float(fitted.judged.chi2[row]) > POOR_CHI2:
-        return False
-    off = []
-    for k in range(len(fitted.plan.sights)):
-        mass, mean = fitted.found.weights.mass[k][row], fitted.found.weights.mean[k][row]
-        value = fitted.judged.values[k][row]
-        misses = ((mean - value) * np.sqrt(mass * fitted.found.ease[row]))[mass > 0]
-        if misses.size > NEIGHBOURS:
-            about = np.lib.stride_tricks.sliding_window_view(
-                np.pad(misses, NEIGHBOURS // 2, mode="reflect"), NEIGHBOURS
-            )
-            off.append(np.abs(misses - np.median(about, axis=1)))
-    away = np.concatenate(off) if off else np.zeros(1)
-    return bool((away > OUTLIER).any() and (away > OUTLIER).mean() < FEW_OUTLIERS and np.median(away) < OUTLIER / 3)
-
-
-def _within_reason(piece: Slice, name: str, total_r: float) -> bool:
-    """Whether the light under the curve is of the order of R: radii or values in another unit are off by far more."""
-    channel = piece.channels[name]
-    order = np.argsort(channel.r_mm, kind="stable")
-    r_mm, rd = channel.r_mm[order], channel.rd_per_mm2[order] / camera_factor(piece)
-    light = float(np.trapezoid(2 * np.pi * r_mm * rd, r_mm))
-    return LEAST_LIGHT * (total_r if total_r > 0 else 0.0) <= light <= MOST_LIGHT
-
-
-def _errors_known(fitted: Fitted, row: int) -> bool:
-    return all(bool(c.errors_known[row, 0]) for c in fitted.data.curves)
-
-
-def _count(fitted: Fitted, row: int) -> int:
-    """Data that counted."""
-    return sum(
-        int(((c.known[row] != 0) & used[row][:, None]).sum())
-        for c, used in zip(fitted.data.curves, fitted.judged.used, strict=True)
+def _held(fitted: Fitted, extra: Extra, answer: _Answer, used: _Used) -> dict[str, Bools]:
+    """Which rows each flag holds for, by the fit itself; one value where it holds for all or none."""
+    jobs, plan, judged, first = fitted.jobs, fitted.plan, fitted.judged, fitted.jobs[0].pieces
+    biased, known = fitted.model.biased, judged.errors_known
+    q, sigma_tp = fitted.found.point.q[:, 0], np.exp(fitted.found.point.log_sigma[:, 0])
+    factors = [camera_factor(piece) for piece in first]
+    totals = np.array(
+        [[p.total_r.get(job.channel, NAN) / f for p, f in zip(job.pieces, factors, strict=True)] for job in jobs]
     )
+    spots = np.array([max(p.spot_radius_mm or 0.0 for p in job.pieces) for job in jobs])
+    pull, drift = (0.0, 0.0) if extra.bias is None else (BIAS_ROOM * extra.bias.pull, BIAS_ROOM * extra.bias.drift)
+    found: dict[str, Any] = {
+        Flag.ALBEDO_ONE: answer.interval_a[:, 0] <= 0,
+        Flag.DIPOLE_UNCHECKED: biased and not extra.checked,
+        Flag.FEW_RADII: used.n < FEWEST,
+        Flag.G_ASSUMED: first[0].g is None and not biased,
+        Flag.G_CLAMPED: is_clamped(first[0].g) and not biased,
+        Flag.INCIDENCE_OBLIQUE: biased and any(p.incidence_deg >= OBLIQUE_DEG for p in first),
+        Flag.JOINT: len(first) > 1,
+        Flag.LIGHT_LOST: [
+            any((p.lost_fraction or {}).get(job.channel, 0.0) > MAX_LOST for p in job.pieces) for job in jobs
+        ],
+        Flag.NOISE: ~(answer.sd_sp / answer.sigma_sp < MAX_REL_SD),
+        Flag.NOT_CONVERGED: ~fitted.found.converged | (biased and extra.model_error is None),
+        Flag.POOR_FIT: known & (judged.chi2 > POOR_CHI2),
+        Flag.POOR_FIT_RUNS: known & (judged.runs_z > POOR_RUNS),
+        Flag.ROBUST: plan.robust,
+        Flag.ROBUST_ADVISED: known & (not plan.robust) & _outliers(fitted),
+        Flag.SCALE_FREE: plan.scale_free,
+        Flag.SCALE_SD_UNKNOWN: [any(p.scale_rel_sd is None for p in job.pieces) for job in jobs],
+        Flag.SCALE_SUSPECT: (not plan.scale_free) & ~_within_reason(fitted, totals),
+        Flag.SD_FILLED: np.any([c.filled[:, 0] for c in fitted.data.curves], axis=0),
+        Flag.SD_UNKNOWN: ~known,
+        Flag.SHAPE_MISFIT: known & ~thin_rows(fitted) & (judged.drift > MOST_DRIFT + drift),
+        Flag.SIGMA_A_UNIDENTIFIABLE: ~np.isfinite(answer.interval_a[:, 1]),
+        Flag.SINGLE_SCATTERING: biased & (q > np.sqrt(1.5)),
+        Flag.SPOT_WIDE: spots * sigma_tp > 1,
+        Flag.TOTAL_AT_LIMIT: bool(plan.totals) & (totals >= 1).any(axis=1),
+        Flag.TOTAL_INCONSISTENT: np.abs(judged.pull) > MOST_PULL + pull,
+        Flag.TOTAL_UNKNOWN: np.isnan(totals).all(axis=1),
+        Flag.WINDOW_SHORT: used.window[:, 1] * np.maximum(q, 0.0) * sigma_tp < 1,
+    }  # fmt: skip
+    return {name: np.asarray(holds, bool) for name, holds in found.items()}
 
 
-def _window(fitted: Fitted, row: int) -> Interval:
-    ends = [
-        (float(c.r_lo[row][used[row]].min()), float(c.r_hi[row][used[row]].max()))
-        for c, used in zip(fitted.data.curves, fitted.judged.used, strict=True)
-        if used[row].any()
-    ]
-    if not ends:
-        return (NAN, NAN)
-    return min(lo for lo, _ in ends), max(hi for _, hi in ends)
+def _outliers(fitted: Fitted) -> Bools:
+    """Rows where a few radii lie far from their neighbours, which all follow one another."""
+    found = np.zeros(len(fitted.jobs), bool)
+    for row in np.flatnonzero(fitted.judged.chi2 > POOR_CHI2):
+        off = [np.zeros(1)]
+        for mass, mean, value in zip(*fitted.found.weights, fitted.judged.values, strict=True):
+            misses = ((mean[row] - value[row]) * np.sqrt(mass[row] * fitted.found.ease[row]))[mass[row] > 0]
+            if misses.size > NEIGHBOURS:
+                about = np.lib.stride_tricks.sliding_window_view(
+                    np.pad(misses, NEIGHBOURS // 2, mode="reflect"), NEIGHBOURS
+                )
+                off.append(np.abs(misses - np.median(about, axis=1)))
+        away = np.concatenate(off[1:] or off)
+        found[row] = (away > OUTLIER).any() and (away > OUTLIER).mean() < FEW_OUTLIERS
+        found[row] &= np.median(away) < OUTLIER / 3
+    return found
+
+
+def _within_reason(fitted: Fitted, totals: Floats) -> Bools:
+    """Whether the light under each curve is of the order of R: radii or values in another unit are off by far more."""
+    good = np.ones(len(fitted.jobs), bool)
+    for c, total_r in zip(fitted.data.curves, totals.T, strict=True):
+        data = c.known != 0
+        r, rd = (c.r_lo + c.r_hi) / 2, (c.rd * data).sum(axis=2) / np.maximum(data.sum(axis=2), 1)
+        light = np.trapezoid(2 * np.pi * r * rd, r, axis=1)
+        good &= (LEAST_LIGHT * np.where(total_r > 0, total_r, 0.0) <= light) & (light <= MOST_LIGHT)
+    return good
 
 
 def _not_stated(fitted: Fitted, row: int) -> tuple[str, ...]:
     """Errors that count as 0 because no slice states them."""
     job = fitted.jobs[row]
-    pieces = job.pieces
+    missing = {name for piece in job.pieces for name in _silent(fitted, piece, job.channel)}
+    if not fitted.judged.errors_known[row]:
+        missing.add("noise")
+    return tuple(name for name in STATED if name in missing)
+
+
+def _silent(fitted: Fitted, piece: Slice, channel: str) -> list[str]:
     missing = {
-        "noise": not _errors_known(fitted, row),
-        "total": any(job.channel in p.total_r and not p.total_r_sd.get(job.channel) for p in pieces),
-        "scale": any(p.scale_rel_sd is None for p in pieces),
-        "length": any(p.mm_rel_sd is None for p in pieces),
-        "spot": any(p.spot_radius_mm is not None and p.spot_radius_sd_mm is None for p in pieces),
-        "view": any(p.exit == "fresnel" and p.view_angle_sd_deg is None for p in pieces),
-        "g": any(p.g_sd is None for p in pieces) or ("g" not in fitted.beside and any(p.g_sd for p in pieces)),
-        "eta": any(p.eta_sd is None for p in pieces) or ("eta" not in fitted.beside and any(p.eta_sd for p in pieces)),
+        "total": channel in piece.total_r and not piece.total_r_sd.get(channel),
+        "scale": piece.scale_rel_sd is None,
+        "length": piece.mm_rel_sd is None,
+        "spot": piece.spot_radius_mm is not None and piece.spot_radius_sd_mm is None,
+        "view": piece.exit == "fresnel" and piece.view_angle_sd_deg is None,
+        "g": piece.g_sd is None or (piece.g_sd > 0 and "g" not in fitted.beside),
+        "eta": piece.eta_sd is None or (piece.eta_sd > 0 and "eta" not in fitted.beside),
     }
-    return tuple(name for name, absent in missing.items() if absent)
+    return [name for name, absent in missing.items() if absent]
 
 
 def _mean(values: Sequence[float]) -> float:

@@ -11,6 +11,11 @@ State = TypeVar("State")
 Fixed = TypeVar("Fixed")
 
 
+KEPT = 24 << 20
+"""Bytes of a block that is given back untouched: the C library then keeps freed memory of up to that size at hand.
+Else each array of a large batch is mapped anew, and half of the time goes into faulting in its pages."""
+
+
 class ById:
     """Something built once and kept, such as a model with its tables, as a key of what is made for it."""
 
@@ -55,6 +60,9 @@ class Engine(Protocol):
 
 class NumpyEngine:
     """For up to some thousand curves: nothing is compiled."""
+
+    def __init__(self) -> None:
+        np.empty(KEPT, np.uint8)
 
     @property
     def xp(self) -> Any:

@@ -47,6 +47,11 @@ class Light(Protocol):
         ...
 
     @property
+    def biased(self) -> bool:
+        """Whether that error is the model's own, one for all curves, and not noise that an interval can hold."""
+        ...
+
+    @property
     def exit_error_mfp(self) -> float:
         """How far its radiance across the view may be off relative to that, times the radius in mean free paths."""
         ...
@@ -82,6 +87,7 @@ class Dipole(NamedTuple):
     q_max: float = 1.73  # α′ = 0.002
     window_mfp: tuple[float, float] = (1.0, 24.0)
     relative_error: float = 0.05
+    biased: bool = True
     exit_error_mfp: float = 0.0  # nothing beside its other errors
 
     def look(self, e: Engine, q: Any, x: Any) -> Look:
@@ -139,6 +145,7 @@ class WhiteTable(NamedTuple):
     q_max: float = float(np.sqrt(3) * Q_MAX)
     window_mfp: tuple[float, float] = (0.0, R_MAX)
     relative_error: float = 0.003
+    biased: bool = False
     exit_error_mfp: float = 0.008  # docs/white-tables.md
 
     def look(self, e: Engine, q: Any, x: Any) -> Look:
