@@ -40,6 +40,7 @@ _NO_PICTURES = {
     b"<!DOCTYPE": "is a web page; download the file itself",
     b"<html": "is a web page; download the file itself",
     b"PK\x03\x04": "is a zip archive; unpack it",
+    **dict.fromkeys((b"\x1f\x8b", b"BZh", b"\xfd7zXZ", b"7z\xbc\xaf", b"Rar!"), "is a packed archive; unpack it"),
     b"\0" * 64: "begins with zeros: it was not written to its end; copy or take the file again",
 }
 

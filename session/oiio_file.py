@@ -12,7 +12,9 @@ from numpy.typing import NDArray
 
 from bssrdf.errors import InputError
 
-_DTYPES = {"uint8": "uint8", "uint16": "uint16", **dict.fromkeys(("uint", "half", "float", "double"), "float")}
+_DTYPES = {"uint8": "uint8", "uint16": "uint16", "uint": "uint", **dict.fromkeys(("half", "float", "double"), "float")}
+_WITH_LOSS = ("dwaa", "dwab", "b44", "b44a", "jpeg")
+"""Codes that change pixels by percents, dark ones beside bright ones most."""
 _PLACED = "openexr"
 """The format whose pictures say where in the whole frame they lie."""
 
@@ -83,7 +85,13 @@ def _read(path: Path, file: Any) -> StoredImage:
     data = file.read_image(file.current_subimage(), 0, 0, spec.nchannels, dtype)
     if data is None or file.has_error:
         raise _unreadable(path, file.geterror())
+    lossy = str(attributes.get("compression", "")).partition(":")[0]
+    if file.format_name() == _PLACED and lossy in _WITH_LOSS:
+        raise InputError(
+            f"{path}: is compressed with loss ({lossy}), which spoils dark pixels; save it with zip or none"
+        )
     pixels = np.asarray(data).reshape(spec.height, spec.width, spec.nchannels)
+    pixels = pixels.astype(np.float32) if pixels.dtype == np.uint32 else pixels
     if file.format_name() == _PLACED:
         pixels = _in_display_window(path, spec, pixels)
     return StoredImage(pixels, tuple(spec.channelnames), attributes.get("oiio:subimagename", ""), attributes)

@@ -11,11 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bssrdf.errors import InputError
-from bssrdf.session.raw_frame import MACHINE_VISION_REL_SD, RawFrame, label, positive, real
+from bssrdf.session.raw_frame import MACHINE_VISION_REL_SD, SECONDS, RawFrame, label, positive, real, without_alpha
 from bssrdf.session.records import Card
 
 _PNM = re.compile(rb"(P2|P3|P5|P6|Pf|PF)(?:\s+|#[^\n]*\n)+(\d+)(?:\s+|#[^\n]*\n)+(\d+)(?:\s+|#[^\n]*\n)+([-+.\deE]+)\s")
+_COMMENT = re.compile(rb"#[^\n]*")
 _BLOCK, _CARD = 2880, 80
+_MOST_CHANNELS = 4
+"""An array that ends on an axis as short as that is one picture with channels; on a longer one, a stack."""
 _FITS_TYPES = {8: ">u1", 16: ">i2", 32: ">i4", 64: ">i8", -32: ">f4", -64: ">f8"}
 
 
@@ -53,9 +56,9 @@ def _pnm_frame(path: Path, header: re.Match[bytes], content: bytes) -> tuple[Raw
 
 
 def _digits(path: Path, content: bytes, dtype: str, shape: tuple[int, ...]) -> NDArray[Any]:
-    """Numbers that are written out."""
+    """Numbers that are written out, comments among them."""
     try:
-        return np.array(content.split(), np.uint32).astype(dtype).reshape(shape)
+        return np.array(_COMMENT.sub(b"", content).split(), np.uint32).astype(dtype).reshape(shape)
     except (ValueError, OverflowError) as error:
         raise _damaged(path, f"PNM, its numbers are not {' x '.join(map(str, shape))}") from error
 
@@ -68,11 +71,15 @@ def read_npy(path: Path) -> list[RawFrame]:
         raise InputError(f"{path}: is not there; check the path") from error
     except Exception as error:  # whatever numpy's parser meets in a damaged header
         raise _damaged(path, f"NPY ({error})") from error
-    if not isinstance(data, np.ndarray) or data.dtype.kind not in "uif" or data.ndim not in (2, 3, 4):
+    if not isinstance(data, np.ndarray) or data.dtype.kind not in "uif" or data.ndim not in (2, 3, 4) or not data.size:
         raise InputError(f"{path}: is not an array of numbers (h, w) or (h, w, 3); save one")
-    if data.ndim == 2 or (data.ndim == 3 and data.shape[2] == 3):
-        return [_frame(data, _container(data))]
-    return [_frame(page, _container(page)) for page in data]
+    is_one = data.ndim == 2 or (data.ndim == 3 and data.shape[2] <= _MOST_CHANNELS)
+    pages = [data] if is_one else list(data)
+    return [_frame(_opaque(path, page), _container(page)) for page in pages]
+
+
+def _opaque(path: Path, page: NDArray[Any]) -> NDArray[Any]:
+    return without_alpha(path, page) if page.ndim == 3 and page.shape[2] in (2, 4) else page
 
 
 def read_fits(path: Path) -> list[RawFrame]:
@@ -100,12 +107,30 @@ def _fits_unit(path: Path, content: bytes, dtype: str, axes: list[int], keys: di
     if len(axes) not in (2, 3):
         raise InputError(f"{path}: holds an array of {len(axes)} axes; save pictures of 2, or a stack of 3")
     stored = _array(path, content, dtype, (axes[0] if len(axes) == 3 else 1, *axes[-2:]))
-    zero, scale = real(keys.get("BZERO", 0)) or 0.0, real(keys.get("BSCALE", 1)) or 1.0
+    zero, scale = _fits_real(keys.get("BZERO", 0)), _fits_real(keys.get("BSCALE", 1))
+    if zero is None or not scale:
+        raise _damaged(path, "FITS, its BZERO or BSCALE is not a number")
+    blank = _fits_real(keys.get("BLANK")) if np.dtype(dtype).kind in "ui" else None
+    missing = np.zeros(stored.shape, bool) if blank is None else stored == blank
     if dtype == ">i2" and (zero, scale) == (32768, 1):
         stored = (stored.astype(np.int32) + 32768).astype(np.uint16)
     elif (zero, scale) != (0, 1):
         stored = (stored * scale + zero).astype(np.float32)
+    if missing.any():
+        stored = np.where(missing, np.float32(np.nan), stored.astype(np.float32))
     return [_fits_frame(page, keys) for page in stored]
+
+
+def _fits_real(value: Any) -> float | None:
+    """A number, of which FITS may write the exponent with a D."""
+    return real(value.upper().replace("D", "E") if isinstance(value, str) else value)
+
+
+def _fits_exposure_s(keys: dict[str, Any]) -> float | None:
+    """EXPTIME or EXPOSURE in the unit in brackets that begins its comment; seconds where there is none."""
+    name = "EXPTIME" if "EXPTIME" in keys else "EXPOSURE"
+    seconds, unit = _fits_real(keys.get(name)), str(keys.get(f"{name} unit", "s"))
+    return None if seconds is None or unit not in SECONDS else positive(seconds * SECONDS[unit])
 
 
 def _fits_header(path: Path, content: bytes, start: int) -> tuple[dict[str, Any], int]:
@@ -119,6 +144,9 @@ def _fits_header(path: Path, content: bytes, start: int) -> tuple[dict[str, Any]
             text = card[10:].strip()
             quoted = re.match(r"'((?:[^']|'')*)'", text)
             keys.setdefault(card[:8].strip(), quoted[1].strip() if quoted else text.split("/")[0].strip())
+            comment = text[quoted.end() :] if quoted else text
+            if unit := re.search(r"/\s*\[\s*(\S+?)\s*\]", comment):
+                keys.setdefault(f"{card[:8].strip()} unit", unit[1])
     raise _damaged(path, "FITS, its header has no end")
 
 
@@ -127,15 +155,17 @@ def _fits_frame(data: NDArray[Any], keys: dict[str, Any]) -> RawFrame:
     pattern = str(keys.get("BAYERPAT", keys.get("COLORTYP", ""))).upper()
     if re.fullmatch("[RGBCMYW]{4}", pattern):
         pattern = "".join(np.roll(np.array(list(pattern)).reshape(2, 2), [-k for k in offset], (0, 1)).ravel())
+    if str(keys.get("ROWORDER", "")).upper().startswith("BOTTOM"):
+        pattern = ""  # programs differ in whether the pattern is that of the first row or of the top one
     card = Card(
         camera=label(keys.get("INSTRUME")),
-        gain=real(keys.get("GAIN")),
-        focal_mm=positive(real(keys.get("FOCALLEN"))),
-        temperature_c=real(keys.get("CCD-TEMP")),
+        gain=_fits_real(keys.get("GAIN")),
+        focal_mm=positive(_fits_real(keys.get("FOCALLEN"))),
+        temperature_c=_fits_real(keys.get("CCD-TEMP")),
         layout=pattern if re.fullmatch("[RGBCMYW]{4}", pattern) else None,
         bits=_container(data).bits,
     )
-    seconds = positive(real(keys.get("EXPTIME", keys.get("EXPOSURE"))))
+    seconds = _fits_exposure_s(keys)
     try:
         utc = datetime.fromisoformat(str(keys["DATE-OBS"])).isoformat() if "DATE-OBS" in keys else None
     except ValueError:

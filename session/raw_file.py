@@ -68,6 +68,10 @@ def _check_pattern(path: Path, tags: Mapping[str, Any]) -> None:
     size = tags.get("CFARepeatPatternDim")
     if isinstance(size, tuple) and size != (2, 2):
         raise InputError(f"{path}: {pattern_refusal(size)}")
+    if tags.get("CFALayout", 1) != 1:
+        raise InputError(
+            f"{path}: has rows or columns of its colour filters set off from each other, which is not read"
+        )
     if "DNGVersion" in tags and tags["pictures"] > 1:
         raise InputError(f"{path}: holds {tags['pictures']} raw pictures; save each as a file of its own")
 

@@ -19,6 +19,15 @@ MACHINE_VISION_REL_SD = 1e-3
 """Of an exposure that a machine-vision or microscope program wrote; a camera's EXIF is a rounded label."""
 
 
+SECONDS = {
+    **dict.fromkeys(("s", "sec", "second", "seconds"), 1.0),
+    **dict.fromkeys(("ms", "msec"), 1e-3),
+    **dict.fromkeys(("µs", "μs", "us", "usec"), 1e-6),
+    "ns": 1e-9,
+}
+"""By the units that metadata give exposures in."""
+
+
 @dataclass(frozen=True)
 class RawFrame:
     """A frame as the camera made it, and what its file says about it."""

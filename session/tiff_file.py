@@ -21,6 +21,7 @@ from bssrdf.errors import InputError
 from bssrdf.session.png_file import is_linear_profile
 from bssrdf.session.raw_frame import (
     MACHINE_VISION_REL_SD,
+    SECONDS,
     RawFrame,
     Tags,
     card_of_tags,
@@ -43,6 +44,8 @@ _ENCODED = {
     **dict.fromkeys((8, 9, 10), "a CIELAB picture"),
     **dict.fromkeys((32844, 32845), "a LogLuv picture"),
 }
+_JPEG, _LOSSY_DNG = (6, 7), 34892
+_SOF, _LOSSLESS = {*range(0xC0, 0xD0)} - {0xC4, 0xC8, 0xCC}, 0xC3
 _NO_PICTURE = 1 | 4 | 8
 """Bits of NewSubfileType: a reduced copy, a mask, a map of depths."""
 _CODED_AT_MOST = 2000
@@ -72,10 +75,12 @@ def raw_tags(path: Path) -> Tags:
 
 
 def check_extent(path: Path) -> None:
-    """InputError where strips or tiles of a TIFF lie beyond the end of the file."""
+    """InputError where strips or tiles lie beyond the end of the file, or where a mosaic was compressed with loss."""
     with _opened(path) as tif:
         for page in _with_children(list(tif.pages)):
             _check_extent(path, page)
+            if page.photometric == 32803:
+                _check_lossless(path, page, _tags(page))
 
 
 @contextmanager
@@ -161,8 +166,31 @@ def _check_linear(path: Path, page: Any, tags: Tags) -> None:
         raise InputError(f"{path}: is gamma encoded, as its colour profile says; save it linear")
     if tags.get("LinearizationTable") is not None:
         raise InputError(f"{path}: has a linearisation table that only a RAW reader applies; convert it to plain DNG")
+    _check_lossless(path, page, tags)
     if page.imagedepth > 1 or page.dtype is None or page.dtype.kind not in "uif":
         raise InputError(f"{path}: holds {page.dtype or 'unknown'} pixels or a volume; save integers or floats")
+
+
+def _check_lossless(path: Path, page: Any, tags: Tags) -> None:
+    """InputError for a code that changes numbers: JPEG of any kind but the lossless one, JPEG XL at a distance."""
+    is_lossy = page.compression == _LOSSY_DNG or (real(tags.get("JXLDistance")) or 0.0) > 0
+    if page.compression in _JPEG and page.dataoffsets:
+        with path.open("rb") as file:
+            file.seek(page.dataoffsets[0])
+            is_lossy = _frame_marker(file.read(min(page.databytecounts[0], 1 << 16))) != _LOSSLESS
+    if is_lossy:
+        raise InputError(f"{path}: is compressed with loss, which spoils dark pixels; save it without")
+
+
+def _frame_marker(jpeg: bytes) -> int | None:
+    """The byte of a JPEG that tells its kind: the first of the markers SOF0 to SOF15."""
+    at = 2
+    while at + 4 <= len(jpeg):
+        marker = jpeg[at + 1]
+        if marker in _SOF:
+            return marker
+        at += 2 + int.from_bytes(jpeg[at + 2 : at + 4], "big")
+    return None
 
 
 def _layout(path: Path, page: Any, tags: Tags) -> str | None:
@@ -288,9 +316,6 @@ def _tags(page: Any) -> dict[str, Any]:
     return {**(exif if isinstance(exif, dict) else {}), **tags}
 
 
-_SECONDS = {"s": 1.0, "ms": 1e-3, "µs": 1e-6, "us": 1e-6, "ns": 1e-9}
-
-
 def plane_exposures_s(tif: tifffile.TiffFile) -> dict[int, float]:
     """Exposure [s] by the index of the page; empty where the file is not an OME-TIFF or does not tell."""
     if not tif.is_ome or tif.ome_metadata is None:
@@ -300,7 +325,7 @@ def plane_exposures_s(tif: tifffile.TiffFile) -> dict[int, float]:
         pixels = image["Pixels"]
         pages = _pages(pixels)
         for plane in _listed(pixels.get("Plane")):
-            seconds = float(plane.get("ExposureTime", 0)) * _SECONDS.get(plane.get("ExposureTimeUnit", "s"), 0)
+            seconds = float(plane.get("ExposureTime", 0)) * SECONDS.get(plane.get("ExposureTimeUnit", "s"), 0)
             if seconds > 0:
                 exposures[pages[_index(pixels, plane, "The")]] = float(f"{seconds:.12g}")
     return exposures

@@ -64,11 +64,14 @@ def png(path: Path, *chunks: tuple[bytes, bytes], data: NDArray[Any] = DN) -> No
     path.write_bytes(b"\x89PNG\r\n\x1a\n" + body)
 
 
-def exr(path: Path, parts: list[tuple[str, tuple[str, ...], NDArray[np.float32]]], **window: int) -> None:
+def exr(
+    path: Path, parts: list[tuple[str, tuple[str, ...], NDArray[np.float32]]], code: str = "zip", **window: int
+) -> None:
     specs = []
     for name, channels, data in parts:
         spec = oiio.ImageSpec(data.shape[1], data.shape[0], len(channels), "float")
         spec.channelnames = channels
+        spec.attribute("compression", code)
         for key, value in window.items():
             setattr(spec, key, value)
         if name:

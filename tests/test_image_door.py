@@ -35,6 +35,9 @@ from numpy.typing import NDArray
 from bssrdf.errors import InputError
 from bssrdf.session.frame_files import read_card, read_frame_file, read_frames_of, read_linear_image
 
+HOLES = np.random.default_rng(0).random(DN.shape) < 0.1
+HOLED = np.where(HOLES, np.nan, DN).astype(np.float32)
+
 
 @pytest.mark.parametrize(
     ("name", "write", "expected"),
@@ -43,9 +46,18 @@ from bssrdf.session.frame_files import read_card, read_frame_file, read_frames_o
         ("a.ppm", content(b"P6 16 12 4095\n" + RGB.astype(">u2").tobytes()), RGB),
         ("a.pgm", content(b"P2 16 12 4095\n" + " ".join(map(str, DN.ravel())).encode()), DN),
         ("a.pfm", content(b"PF\n16 12\n-1.0\n" + FLOATS[::-1].astype("<f4").tobytes()), FLOATS),
+        (
+            "a.pgm",
+            content(b"P2 16 12 4095\n" + b" # a row\n".join(b" ".join(b"%d" % v for v in row) for row in DN)),
+            DN,
+        ),
         ("a.npy", lambda path: np.save(path, DN), DN),
+        ("a.npy", lambda path: np.save(path, DN[..., None]), DN),
+        ("a.npy", lambda path: np.save(path, np.dstack([RGB, np.full_like(DN, 65535)])), RGB),
         ("a.npy", lambda path: np.save(path, np.asfortranarray(RGB.astype(">u2"))), RGB),
         ("a.fits", content(fits((DN.astype(int) - 32768).astype(">i2"), "BZERO   =                32768")), DN),
+        ("a.fits", content(fits((DN.astype(int) - 32768).astype(">i2"), "BZERO   =           3.2768D+04")), DN),
+        ("a.fits", content(fits(np.where(HOLES, -9, DN).astype(">i2"), "BLANK   =                   -9")), HOLED),
         ("a.fits", content(fits(FLOATS[..., 0].astype(">f4"), "BSCALE  =                  2.0")), 2 * FLOATS[..., 0]),
         ("a.png", png, DN),
         ("a.png", lambda path: png(path, (b"gAMA", struct.pack(">I", 100_000)), data=RGB), RGB),
@@ -188,6 +200,21 @@ def test_fits_tells_camera_exposure_and_pattern(tmp_path: Path) -> None:
     card = frame.card
     assert (card.layout, card.gain, card.temperature_c) == ("GBRG", 120.0, -10.5)
     assert (frame.exposure_s, frame.exposure_rel_sd, frame.utc) == (0.25, 0.001, "2024-01-02T03:04:05")
+
+
+@pytest.mark.parametrize(
+    ("card", "exposure_s"),
+    [("EXPTIME =              1.5D-02", 0.015), ("EXPOSURE=                250.0 / [ms] open", 0.25)],
+)
+def test_fits_tells_exposure_in_any_unit_and_exponent(tmp_path: Path, card: str, exposure_s: float) -> None:
+    (tmp_path / "a.fits").write_bytes(fits(DN.astype(">i2"), card))
+    assert read_frame_file(tmp_path / "a.fits").exposure_s == exposure_s
+
+
+def test_fits_whose_rows_run_upwards_leaves_its_pattern_to_the_user(tmp_path: Path) -> None:
+    """Programs differ in whether the pattern is that of the first row or of the top one."""
+    (tmp_path / "a.fits").write_bytes(fits(DN.astype(">i2"), "BAYERPAT= 'RGGB    '", "ROWORDER= 'BOTTOM-UP'"))
+    assert read_frame_file(tmp_path / "a.fits").layout is None
 
 
 def test_tiff_tells_exposure_iso_and_lens(tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 import struct
 import zlib
 from collections.abc import Callable
@@ -41,6 +42,12 @@ COLOURS = np.zeros((3, 256), np.uint16)
         ("a.npy", lambda path: np.save(path, DN > 5), "not an array of numbers"),
         ("a.fits", content(fits(DN.astype(">i2"), unit="XTENSION= 'BINTABLE'")), "no picture"),
         ("a.exr", lambda path: exr(path, [("", ("X", "Y", "Z"), FLOATS)]), "'X', 'Y', 'Z'"),
+        ("a.exr", lambda path: exr(path, [("", ("R", "G", "B"), FLOATS)], code="dwaa"), r"with loss \(dwaa\)"),
+        ("a.tif", tiff(DN.astype(np.uint8), compression="jpeg"), "with loss"),
+        ("a.dng", tiff(DN, photometric=32803, compression="jpeg", extratags=[*DNG, *CFA]), "with loss"),
+        ("a.dng", tiff(DN, photometric=32803, extratags=[*DNG, *CFA, (50711, "H", 1, 2, True)]), "set off"),
+        ("a.fits", content(gzip.compress(fits(DN.astype(">i2")))), "packed archive"),
+        ("a.npy", lambda path: np.save(path, DN[:0]), "not an array of numbers"),
     ],
 )
 def test_what_is_not_light_is_refused_by_name(
