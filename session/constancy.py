@@ -41,7 +41,7 @@ _NAMES = {
     "bits": "bits",
     _SIZE: "size",
 }
-_ROUNDED, _OTHER_EXPOSURE = 0.07, 0.18
+ROUNDED, _OTHER_EXPOSURE = 0.07, 0.18
 """Logarithms: a label is rounded by 6.7 % at most; 20 % is another exposure."""
 _REMEDY = "take them anew with one setting, or leave one out"
 
@@ -92,7 +92,7 @@ def exposure_faults(frames: Sequence[Frame]) -> Iterator[str]:
         yield from (line for frame in told for line in _dark_faults(frame, frames))
         off = [log(f.card.file_exposure_s / f.exposure_s) for f in told if not f.exposure_measured_s]  # type: ignore[operator]  # told
         labels = {frame.exposure_s for frame in told if not frame.exposure_measured_s}
-        if len(labels) > 1 and max(off) - min(off) < _ROUNDED and abs(median(off)) > _OTHER_EXPOSURE:
+        if len(labels) > 1 and max(off) - min(off) < ROUNDED and abs(median(off)) > _OTHER_EXPOSURE:
             yield (
                 f"{told[0].file}: was exposed for {told[0].card.file_exposure_s:g} s by its own file, not for "
                 f"{told[0].exposure_s:g} s as frames.csv says, and so were the other {kind} frames; correct exposure_s"
@@ -106,7 +106,7 @@ def _dark_faults(frame: Frame, frames: Sequence[Frame]) -> Iterator[str]:
         return  # who needs it says so
     for dark in darks:
         own, its = frame.card.file_exposure_s, dark.card.file_exposure_s
-        if own and its and abs(log(its / own)) > _ROUNDED:
+        if own and its and abs(log(its / own)) > ROUNDED:
             yield (
                 f"{dark.file}: was exposed for {its:g} s by its own file, not for {own:g} s as {frame.file}; take "
                 "darks of the frames' exposures, or correct exposure_s in frames.csv"

@@ -29,6 +29,8 @@ _TIME = re.compile(
         (?=[_\-\s.()\[\]+;@]|$)                       # ends a word""",
     re.VERBOSE | re.IGNORECASE,
 )
+_A_DAY_S = 86_400.0
+"""20240102s is a date."""
 _LONGEST_S = 30.0
 """Above this many seconds a camera has no label: 1_250s is 1/250 s, while 1_4s may be frame 1 of 4 s."""
 
@@ -36,7 +38,7 @@ _LONGEST_S = 30.0
 def exposure_from_name(name: str) -> float | None:
     """Exposure time [s] in a name such as `…_250ms_…`; None where there is none, or more than one that it may be."""
     times = {time for match in _TIME.finditer(name) for time in _readings(name, match)}
-    return times.pop() if len(times) == 1 and 0 < min(times) < math.inf else None
+    return times.pop() if len(times) == 1 and 0 < min(times) <= _A_DAY_S else None
 
 
 def exposure_from_path(relative: PurePosixPath) -> float | None:

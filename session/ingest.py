@@ -5,14 +5,23 @@ from __future__ import annotations
 import shutil
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import chain
+from math import log
 from pathlib import Path, PurePosixPath
 from types import MappingProxyType
 from typing import Any
 
 from bssrdf.errors import InputError, UsageError
 from bssrdf.session.atomic import make_folder, replace_folder, sha256_of
-from bssrdf.session.constancy import check_constant
-from bssrdf.session.file_names import Exposure, Rule, exposure_from_path, exposure_source, kind_of, rule_of
+from bssrdf.session.constancy import ROUNDED, check_constant
+from bssrdf.session.file_names import (
+    Exposure,
+    Rule,
+    exposure_from_name,
+    exposure_from_path,
+    exposure_source,
+    kind_of,
+    rule_of,
+)
 from bssrdf.session.frame_files import ENCODED_SUFFIXES, is_frame_name, read_frames_of
 from bssrdf.session.frames_csv import write_frames
 from bssrdf.session.png_file import is_deep
@@ -177,6 +186,12 @@ def _line(file: Path, building: Path, kind: FrameKind, image: RawFrame, exposure
 def _exposure(path: Path, relative: PurePosixPath, kind: FrameKind, image: RawFrame, told: Exposure | None) -> float:
     if kind in _MERGED.values():
         return 1.0
+    by_name = exposure_from_name(relative.stem)
+    if not told and image.exposure_s and by_name and abs(log(by_name / image.exposure_s)) > ROUNDED:
+        raise InputError(
+            f"{path}: was exposed for {image.exposure_s:g} s by its metadata and {by_name:g} s by its name; say which "
+            "holds by --exposure-from, a regular expression or a table"
+        )
     exposure_s = told(relative, 0) if told else image.exposure_s or exposure_from_path(relative)
     if exposure_s is None:
         merged = "; if it is merged already, give its kind as sample_hdr or reference_hdr"

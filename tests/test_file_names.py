@@ -52,6 +52,7 @@ from bssrdf.session.frames_csv import read_frames
         ("sample_0ms.tif", None),
         ("sample_5samples.tif", None),
         ("lens50s.tif", None),
+        ("20240102s.tif", None),
         ("v2.5ms.tif", None),
         ("v2.5e-3s", None),
         ("a_1.e-3s", None),

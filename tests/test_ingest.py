@@ -241,6 +241,23 @@ def test_what_is_unclear_is_refused_and_leaves_nothing(folder: Path, tmp_path: P
     assert sorted(path.name for path in tmp_path.iterdir()) == ["photos"]
 
 
+@pytest.mark.parametrize(("name", "agrees"), [("a_250ms", False), ("a_1-250s", True), ("a_4.2ms", True), ("a", True)])
+def test_a_name_that_contradicts_the_metadata_is_asked_about(tmp_path: Path, name: str, agrees: bool) -> None:
+    """A shutter before a camera that is set to another time: which one holds, only its user knows."""
+    (tmp_path / "in/sample").mkdir(parents=True)
+    file = tmp_path / f"in/sample/{name}.tif"
+    tifffile.imwrite(file, np.ones((8, 8), np.uint16), extratags=[(33434, "2I", 1, (1, 250), True)])
+    if agrees:
+        (frame,) = ingest_folder(tmp_path / "in", tmp_path / "out")
+        assert frame.exposure_s == pytest.approx(0.004)
+    else:
+        with pytest.raises(InputError, match=r"0\.004 s by its metadata and 0\.25 s by its name"):
+            ingest_folder(tmp_path / "in", tmp_path / "out")
+        rule = r"_(?P<ms>\d+)ms"
+        (frame,) = ingest_folder(tmp_path / "in", tmp_path / "out", exposure_from=rule)
+        assert frame.exposure_s == 0.25
+
+
 def test_verify_finds_everything_that_changed(folder: Path, tmp_path: Path) -> None:
     out = tmp_path / "s"
     ingest_folder(folder, out, kinds=RULES, camera={"layout": "mono"})
