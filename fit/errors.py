@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from bssrdf.fit.laying import look
-from bssrdf.fit.problem import Gaps, Plan, Problem
+from bssrdf.fit.problem import Gaps, Looked, Plan, Problem
 from bssrdf.fit.solve import Solution
 from bssrdf.fit.terms import elimination, keeping, model_sd, rows_of, squares, system, totals_of, window
 from bssrdf.transport.arrays import Engine
@@ -41,8 +41,8 @@ class Judged(NamedTuple):
     """(b,): whether all curves came with errors."""
     n: Any
     """(b,): radii in the window, a faded one in part."""
-    total_r: Any
-    total_r_half_space: Any
+    seen: Looked
+    """What the model has there."""
     pull: Any
     """(b,): R measured less that of the curve alone, in sd, which grow by the misfit; 0 where R is not a datum."""
     runs_z: Any
@@ -55,8 +55,6 @@ class Judged(NamedTuple):
     """(b, P): δ to a relative change of all R."""
     used: tuple[Any, ...]
     """By slice (b, u): whether a radius counts."""
-    values: tuple[Any, ...]
-    """By slice (b, u): the model's curve."""
 
 
 def judge(e: Engine, plan: Plan, model: Light, data: Problem, found: Solution) -> Judged:
@@ -100,8 +98,7 @@ def judge(e: Engine, plan: Plan, model: Light, data: Problem, found: Solution) -
         grown=grown,
         errors_known=known,
         n=n,
-        total_r=seen.totals[0][0][:, 0],
-        total_r_half_space=seen.half[:, 0],
+        seen=seen,
         pull=pull / xp.sqrt(grown / found.ease),
         runs_z=runs_z,
         drift=_drift(e, laid, looks, by, found.shared, grown / found.ease),
@@ -111,7 +108,6 @@ def judge(e: Engine, plan: Plan, model: Light, data: Problem, found: Solution) -
         ),
         total_answer=total_answer,
         used=used,
-        values=tuple(each[0] for each in looks),
     )
 
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from bssrdf.fit.errors import Judged, judge
 from bssrdf.fit.finite import curve_off, total_off
-from bssrdf.fit.laying import curve, lay, look
+from bssrdf.fit.laying import lay, look
 from bssrdf.fit.layout import Total
 from bssrdf.fit.models import Truth
 from bssrdf.fit.observe import NEAREST_MFP, seen_at, total_seen
@@ -42,18 +42,19 @@ def table_error(model: WhiteTable, data: Problem, found: Solution, judged: Judge
     """From the Monte Carlo noise of the table's knots, which are independent."""
     q = np.clip(np.abs(found.point.q), 1e-12, model.q_max)
     knots = model.log_curve_sd.shape[1]
-    by_knot = np.zeros((q.shape[0], 2, knots))
+    by_knot = np.zeros((2, q.shape[0] * knots))
     for k, c in enumerate(data.curves):
         x = np.maximum(np.exp(found.point.log_sigma) * (c.r_lo + c.r_hi) / 2, NEAREST_MFP)
         t = np.clip(np.log1p(x / R_ZERO) / V_MAX, 0, 1) * (knots - 1)
         at = np.minimum(t.astype(int), knots - 2)
-        moved = to_log(found.point.q) @ judged.answer[k][:, :2]
-        rows, two = np.arange(q.shape[0])[:, None, None], np.arange(2)[None, :, None]
-        np.add.at(by_knot, (rows, two, at[:, None, :]), moved * (1 - (t - at))[:, None, :])
-        np.add.at(by_knot, (rows, two, at[:, None, :] + 1), moved * (t - at)[:, None, :])
+        moved, ahead = to_log(found.point.q) @ judged.answer[k][:, :2], t - at
+        left = (at + knots * np.arange(q.shape[0])[:, None]).ravel()
+        for of_one, share in zip(by_knot, moved.swapaxes(0, 1), strict=True):
+            for knot, part in ((left, share * (1 - ahead)), (left + 1, share * ahead)):
+                of_one += np.bincount(knot, part.ravel(), of_one.size)
     edges = R_ZERO * np.expm1(np.linspace(0, 1, knots) * V_MAX)
     sd = model.shape_sd(E, q, np.broadcast_to(edges, (q.shape[0], knots)))
-    return np.sqrt(np.square(by_knot * sd[:, None, :]).sum(2))
+    return np.sqrt(np.square(by_knot.reshape(2, *sd.shape) * sd).sum(2)).T
 
 
 def sample_error(plan: Plan, found: Solution, judged: Judged) -> Floats:
@@ -69,12 +70,10 @@ def sample_error(plan: Plan, found: Solution, judged: Judged) -> Floats:
     return np.abs(moved) + np.abs(by_total) * np.max([np.zeros_like(found.point.q), *offs], axis=0)
 
 
-def sensitivities(
-    plan: Plan, model: Light, data: Problem, found: Solution, judged: Judged, beside: Neighbours
-) -> dict[str, Floats]:
+def sensitivities(plan: Plan, data: Problem, found: Solution, judged: Judged, beside: Neighbours) -> dict[str, Floats]:
     """d ln(σa, σs′) by η and g, as `d_ln_sigma_a_d_g`: by the model, and for η by the slice's convention as well."""
     out = {}
-    point, here = found.point, look(E, plan, model, data, found.laid, found.point)
+    point, here = found.point, judged.seen
     for name, (other, step) in beside.items():
         factors = [step * by_eta if name == "eta" else 0.0 for _, by_eta in data.factor_slopes]
         aside = look(E, plan, other, data, _seen_by(plan, other, data, found), point)
@@ -153,13 +152,12 @@ def _light_of(plan: Plan, truth: Light, data: Problem, at: Point) -> _Light:
     """The data that `truth` would have made."""
     bare = plan._replace(shared=())
     laid: Laid = lay(E, bare, truth, data, at, {})
-    means = tuple(curve(E, bare, truth, laid, at, k)[0] for k in range(len(plan.sights)))
     looked = look(E, bare, truth, data, laid, at)
     totals = tuple(
         Total(total[0] * seen, each.sd)
         for each, total, seen in zip(data.totals, looked.totals, laid.total_seen, strict=False)
     )
-    return _Light(data._replace(totals=totals), means)
+    return _Light(data._replace(totals=totals), tuple(value for value, _, _ in looked.curves))
 
 
 def refitted(

@@ -160,7 +160,7 @@ def _subset(fitted: Fitted, rows: np.ndarray) -> Fitted:
 
 def extra_of(fitted: Fitted, making: Making) -> Extra:
     """What further models say of a batch."""
-    slopes = sensitivities(fitted.plan, fitted.model, fitted.data, fitted.found, fitted.judged, fitted.beside)
+    slopes = sensitivities(fitted.plan, fitted.data, fitted.found, fitted.judged, fitted.beside)
     extra = Extra(_profiled(fitted), None, slopes, _others(fitted), None, True)
     of_sample = sample_error(fitted.plan, fitted.found, fitted.judged)
     if isinstance(fitted.model, WhiteTable):

@@ -58,7 +58,7 @@ def in_sample(fitted: Fitted, row: int, sigma_a_shares: Mapping[str, float], rel
     every = [held(piece) for piece in pieces]
     effects = [_effect(fitted, row, k) for k in range(len(pieces))]
     depths = [one.thickness * sigma_tp for one in every if one.thickness < math.inf]
-    half_space = float(fitted.judged.total_r_half_space[row])
+    half_space = float(fitted.judged.seen.half[row, 0])
     bright = half_space >= BRIGHT
     of_sample = sum(sigma_a_shares.get(name, 0.0) for name in ("thickness", "back"))
     thin = [_thin(one, sigma_tp, bright, THIN, THIN_ON_BLACK) for one in every]

@@ -206,8 +206,8 @@ def _channel_fit(
         sigma_sp_interval95_per_mm=tuple(interval_sp) if told else (NAN, NAN),
         correlation=correlation if told else NAN,
         total_r_measured=_mean([p.total_r.get(job.channel, NAN) for p in job.pieces]),
-        total_r_model=float(judged.total_r[row]) if told else NAN,
-        total_r_half_space=float(judged.total_r_half_space[row]) if told else NAN,
+        total_r_model=float(judged.seen.totals[0][0][row, 0]) if told else NAN,
+        total_r_half_space=float(judged.seen.half[row, 0]) if told else NAN,
         tau_p=sample.tau_p,
         sample_effect=(sample.log_total, sample.least_ratio),
         window_mm=tuple(used.window[row].tolist()),
@@ -325,7 +325,7 @@ def _outliers(fitted: Fitted) -> Bools:
     found = np.zeros(len(fitted.jobs), bool)
     for row in np.flatnonzero(fitted.judged.chi2 > POOR_CHI2):
         off = [np.zeros(1)]
-        for mass, mean, value in zip(*fitted.found.weights, fitted.judged.values, strict=True):
+        for mass, mean, (value, _, _) in zip(*fitted.found.weights, fitted.judged.seen.curves, strict=True):
             misses = ((mean[row] - value[row]) * np.sqrt(mass[row] * fitted.found.ease[row]))[mass[row] > 0]
             if misses.size > NEIGHBOURS:
                 about = np.lib.stride_tricks.sliding_window_view(

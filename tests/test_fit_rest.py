@@ -108,7 +108,7 @@ def test_a_table_s_model_error_is_the_spread_of_fits_to_its_noise() -> None:
     at = np.log1p(x[0] / R_ZERO) / V_MAX * (knots - 1)
     waves = np.stack([np.interp(at, np.arange(knots), sd * rng.standard_normal(knots)) for _ in rows])
     many = picked(one.found, rows)
-    weights = Weights(many.weights.mass, (many.weights.mean[0] + one.judged.values[0] * waves,))
+    weights = Weights(many.weights.mass, (many.weights.mean[0] + one.judged.seen.curves[0][0] * waves,))
     ended = refitted(one.plan, one.model, picked(one.data, rows), many, weights)
     ours = np.concatenate(coefficients(one.found.point.log_sigma, one.found.point.q), axis=1)
     spread = np.std(np.concatenate(coefficients(ended.point.log_sigma, ended.point.q), axis=1) / ours, axis=0)
