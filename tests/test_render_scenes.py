@@ -20,7 +20,7 @@ from bssrdf.render.surface_nets import TriangleMesh
 from bssrdf.session.records import ChannelFit, Fit
 
 MARBLE = find_medium("Marble")
-HIGHEST = 0.975
+HIGHEST = 0.9957
 """The top of the figure in its own units."""
 
 
