@@ -41,6 +41,7 @@ if TYPE_CHECKING:
     from bssrdf.transport.white.smooth import fit_tables as fit_tables
     from bssrdf.transport.white.store import Policy as Policy
     from bssrdf.transport.white.store import allowed as allowed
+    from bssrdf.transport.white.store import cache_directory as cache_directory
     from bssrdf.transport.white.store import nearest as nearest
     from bssrdf.transport.white.store import place as place
     from bssrdf.transport.white.store import shipped as shipped

@@ -78,7 +78,7 @@ class LightPlan:
     """Edges at most along a pixel of the picture."""
     light_samples: int = 8
     """Of the light that reaches each triangle."""
-    opening: float = 0.4
+    opening: float = 0.6
     """Radius over distance below which many triangles count as one."""
     walks: int = 16
     """From each place, where the method is walks."""
