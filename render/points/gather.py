@@ -8,6 +8,7 @@ of the triangle against the mean free path, so that a coarse mesh ends at the BR
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numba
 import numpy as np
@@ -15,10 +16,11 @@ from numpy.typing import NDArray
 
 from bssrdf.render.points.kernel import DISCS, FIRST, PER_OCTAVE, WIDEST, Kernels
 from bssrdf.render.points.record import Floats
-from bssrdf.render.points.tree import Singles, build_tree
+from bssrdf.render.points.tree import LightTree, Singles, build_tree
 
 _NODES, _WEIGHTS = (part.astype(np.float32) for part in np.polynomial.legendre.leggauss(4))
 """Of the integral along each side of the foot on an edge."""
+_single: Any = np.float32
 Vector = tuple[float, float, float]
 _DEEPEST = 64
 _STEEP = 0.5
@@ -48,9 +50,18 @@ def gather(
     scale = np.broadcast_to(sigma_tp, shape).astype(np.float32)
     decay = np.sqrt(3 * (1 - np.broadcast_to(albedo, shape))).astype(np.float32) * scale
     found = _sum(
-        *(tree.centre, tree.radius, tree.spread, tree.flux, tree.triangle),
-        *(corners.astype(np.float32), light.astype(np.float32), places.astype(np.float32)),
-        *(table.disc, table.inside, row, share, scale, np.log2(scale / np.float32(FIRST)), decay, np.float32(opening)),
+        tree,
+        corners.astype(np.float32),
+        light.astype(np.float32),
+        places.astype(np.float32),
+        table.disc,
+        table.inside,
+        row,
+        share,
+        scale,
+        np.log2(scale / np.float32(FIRST)),
+        decay,
+        _single(opening),
     )
     return np.asarray(found, np.float64)
 
@@ -65,11 +76,7 @@ def _between(nodes: Floats, values: Floats) -> tuple[NDArray[np.int32], Singles]
 
 @numba.njit(parallel=True, fastmath=True, cache=True, error_model="numpy")
 def _sum(
-    centre: Singles,
-    radius: Singles,
-    spread: Singles,
-    flux: Singles,
-    triangle: NDArray[np.int32],
+    tree: LightTree,
     corners: Singles,
     light: Singles,
     places: Singles,
@@ -82,6 +89,7 @@ def _sum(
     decay: Singles,
     opening: float,
 ) -> Singles:
+    centre, radius, spread, flux, triangle = tree
     n_channels = flux.shape[1]
     leaves = len(triangle)
     out = np.zeros((len(places), n_channels), np.float32)
@@ -102,8 +110,8 @@ def _sum(
                 way = (dx, dy, dz)
                 _from_afar(sums[0, 0], way, d2, spread[node], flux[node], discs, row[p], share[p], scale[p], octave[p])
                 for c in range(n_channels):
-                    steep = radius[node] * decay[p, c] > np.float32(_STEEP)
-                    small = small and not (steep and sums[0, 0, c] > np.float32(_COUNTS) * found[c])
+                    steep = radius[node] * decay[p, c] > _single(_STEEP)
+                    small = small and not (steep and sums[0, 0, c] > _single(_COUNTS) * found[c])
             if small:
                 for c in range(n_channels):
                     found[c] += sums[0, 0, c]
@@ -122,7 +130,7 @@ def _sum(
     return out
 
 
-@numba.njit(fastmath=True, cache=True, error_model="numpy", inline="always")
+@numba.njit(fastmath=True, cache=True, error_model="numpy")
 def _from_afar(
     found: Singles,
     way: Vector,
@@ -142,11 +150,11 @@ def _from_afar(
     x, y, z = way
     along = x * x * spread[0] + y * y * spread[1] + z * z * spread[2]
     along = (along + 2 * (x * y * spread[3] + x * z * spread[4] + y * z * spread[5])) / (d2 * d2)
-    across = np.float32(0.5) * ((spread[0] + spread[1] + spread[2]) / d2 - 2 * along)
-    cell = min(along * np.float32(4 * DISCS / WIDEST**2), np.float32(DISCS - 1e-3))
+    across = _single(0.5) * ((spread[0] + spread[1] + spread[2]) / d2 - 2 * along)
+    cell = min(along * _single(4 * DISCS / WIDEST**2), _single(DISCS - 1e-3))
     j = int(cell)
     f = cell - j
-    log_r = np.float32(0.5) * math.log2(d2)
+    log_r = _single(0.5) * math.log2(d2)
     for c in range(len(found)):
         k, t = _place(log_r + octave[c], discs.shape[1])
         value = _of_disc(discs, row[c], k, t, j, f, across)
@@ -155,24 +163,24 @@ def _from_afar(
         found[c] = flux[c] * value * scale[c] * scale[c]
 
 
-@numba.njit(fastmath=True, cache=True, error_model="numpy", inline="always")
+@numba.njit(fastmath=True, cache=True, error_model="numpy")
 def _of_disc(discs: Singles, row: int, k: int, t: float, j: int, f: float, across: float) -> float:
     slope = discs[row, k, DISCS + 1] + t * (discs[row, k + 1, DISCS + 1] - discs[row, k, DISCS + 1])
     low = discs[row, k, j] + f * (discs[row, k, j + 1] - discs[row, k, j])
     high = discs[row, k + 1, j] + f * (discs[row, k + 1, j + 1] - discs[row, k + 1, j])
     mean = low + t * (high - low)
-    return max(mean + across * slope, np.float32(0.3) * mean)
+    return max(mean + across * slope, _single(0.3) * mean)
 
 
-@numba.njit(fastmath=True, cache=True, error_model="numpy", inline="always")
+@numba.njit(fastmath=True, cache=True, error_model="numpy")
 def _place(octave: float, n: int) -> tuple[int, float]:
     """Where in a table of n radii one lies that is so many octaves above the first, and how far on to the next."""
-    at = max(octave * np.float32(PER_OCTAVE), np.float32(0))
+    at = max(octave * _single(PER_OCTAVE), _single(0))
     k = min(int(at), n - 2)
-    return k, min(at - k, np.float32(1))
+    return k, min(at - k, _single(1))
 
 
-@numba.njit(fastmath=True, cache=True, error_model="numpy", inline="always")
+@numba.njit(fastmath=True, cache=True, error_model="numpy")
 def _within(log_r: float, inside: Singles, row: int, share: float, scale: float, octave: float) -> tuple[float, float]:
     """∫₀ʳ R_d s ds, and ∫₀ʳ R_d s² ds [scene unit]."""
     above = log_r + octave
@@ -184,32 +192,32 @@ def _within(log_r: float, inside: Singles, row: int, share: float, scale: float,
         first += share * (other - first)
         other = inside[row + 1, k, 1] + t * (inside[row + 1, k + 1, 1] - inside[row + 1, k, 1])
         second += share * (other - second)
-    low = np.float32(1) if above >= 0 else np.float32(2) ** above  # below the first radius they go as its powers
+    low = _single(1) if above >= 0 else _single(2) ** above  # below the first radius they go as its powers
     return first * low, second * low * low / scale
 
 
-@numba.njit(fastmath=True, cache=True, error_model="numpy", inline="always")
+@numba.njit(fastmath=True, cache=True, error_model="numpy")
 def _apart(a: Singles, b: Singles) -> float:
     x, y, z = a[0] - b[0], a[1] - b[1], a[2] - b[2]
     return x * x + y * y + z * z
 
 
-@numba.njit(fastmath=True, cache=True, error_model="numpy", inline="always")
-def _less(a: Vector, b: Vector) -> Vector:
+@numba.njit(fastmath=True, cache=True, error_model="numpy")
+def _minus(a: Vector, b: Vector) -> Vector:
     return a[0] - b[0], a[1] - b[1], a[2] - b[2]
 
 
-@numba.njit(fastmath=True, cache=True, error_model="numpy", inline="always")
+@numba.njit(fastmath=True, cache=True, error_model="numpy")
 def _times(a: float, b: Vector) -> Vector:
     return a * b[0], a * b[1], a * b[2]
 
 
-@numba.njit(fastmath=True, cache=True, error_model="numpy", inline="always")
+@numba.njit(fastmath=True, cache=True, error_model="numpy")
 def _dot(a: Vector, b: Vector) -> float:
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
-@numba.njit(fastmath=True, cache=True, error_model="numpy", inline="always")
+@numba.njit(fastmath=True, cache=True, error_model="numpy")
 def _cross(a: Vector, b: Vector) -> Vector:
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
@@ -232,22 +240,22 @@ def _add_triangle(
     a = (corners[0, 0], corners[0, 1], corners[0, 2])
     b = (corners[1, 0], corners[1, 1], corners[1, 2])
     c = (corners[2, 0], corners[2, 1], corners[2, 2])
-    ab, ac = _less(b, a), _less(c, a)
+    ab, ac = _minus(b, a), _minus(c, a)
     normal = _cross(ab, ac)
     twice = math.sqrt(_dot(normal, normal))
     if twice <= 0:
         return
     normal = _times(1 / twice, normal)
-    high = _dot(_less(x, a), normal)
-    foot = _less(x, _times(high, normal))
+    high = _dot(_minus(x, a), normal)
+    foot = _minus(x, _times(high, normal))
     height = abs(high)
-    log_height = math.log2(height + np.float32(1e-30))
+    log_height = math.log2(height + _single(1e-30))
     below = sums[1]
     for i in range(len(found)):
         below[0, i], below[1, i] = _within(log_height, inside, row[i], share[i], scale[i], octave[i])
         for k in range(4):
             sums[0, k, i] = 0
-    from_a, from_b, from_c = _less(a, foot), _less(b, foot), _less(c, foot)
+    from_a, from_b, from_c = _minus(a, foot), _minus(b, foot), _minus(c, foot)
     _add_edge(sums, from_a, from_b, normal, height, inside, row, share, scale, octave)
     _add_edge(sums, from_b, from_c, normal, height, inside, row, share, scale, octave)
     _add_edge(sums, from_c, from_a, normal, height, inside, row, share, scale, octave)
@@ -280,29 +288,29 @@ def _add_edge(
 
     Along the edge s = p sinh w, at the distance p from the foot, so that r = p cosh w and dφ = dw/cosh w.
     """
-    along = _less(end, start)
+    along = _minus(end, start)
     length = math.sqrt(_dot(along, along))
     twice = _dot(_cross(start, end), normal)
-    if abs(twice) <= np.float32(1e-6) * length * length:
+    if abs(twice) <= _single(1e-6) * length * length:
         return
     p = abs(twice) / length
     along = _times(1 / length, along)
     first, last = _dot(start, along), _dot(end, along)
-    out = _times(1 / p, _less(start, _times(first, along)))
+    out = _times(1 / p, _minus(start, _times(first, along)))
     low, high = math.asinh(first / p), math.asinh(last / p)
-    sign = math.copysign(np.float32(0.5), twice)
+    sign = math.copysign(_single(0.5), twice)
     for side in range(2):
-        a, b = (low, min(high, np.float32(0))) if side == 0 else (max(low, np.float32(0)), high)
+        a, b = (low, min(high, _single(0))) if side == 0 else (max(low, _single(0)), high)
         if b <= a:
             continue
         for node in range(len(_NODES)):
-            w = np.float32(0.5) * (a + b + (b - a) * _NODES[node])
+            w = _single(0.5) * (a + b + (b - a) * _NODES[node])
             cosh = math.cosh(w)
             turn = sign * (b - a) * _WEIGHTS[node] / cosh
-            tanh = math.sqrt(max(1 - 1 / (cosh * cosh), np.float32(0))) * (1 - 2 * (side == 0))
+            tanh = math.sqrt(max(1 - 1 / (cosh * cosh), _single(0))) * (1 - 2 * (side == 0))
             r = math.sqrt(p * p * cosh * cosh + height * height)
-            log_r = math.log2(r + np.float32(1e-30))
-            lean = math.sqrt(max(r - height, np.float32(0)) / (r + height + np.float32(1e-30)))
+            log_r = math.log2(r + _single(1e-30))
+            lean = math.sqrt(max(r - height, _single(0)) / (r + height + _single(1e-30)))
             for i in range(len(row)):
                 whole, moment = _within(log_r, inside, row[i], share[i], scale[i], octave[i])
                 sums[0, 0, i] += turn * (whole - sums[1, 0, i])

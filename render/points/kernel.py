@@ -84,12 +84,14 @@ def _make(eta: float, g: float, albedo: Floats, kind: Kernel) -> Kernels:
 
 def _medium(eta: float, g: float, albedo: float, kind: Kernel, r: Floats) -> tuple[Floats, float, Floats]:
     """R_d, R and the lobe of a medium with σt′ = 1."""
+    import jax.numpy as jnp
+
     from bssrdf.transport import dipole, scoped_x64, table_model
 
     @scoped_x64
     def by_dipole() -> tuple[Floats, float, Floats]:
         medium = dipole.Medium(1 - albedo, albedo, eta)
-        return np.asarray(dipole.rd(medium, r)), float(dipole.total_r(medium)), np.ones(COSINES)
+        return np.asarray(dipole.rd(medium, jnp.asarray(r))), float(dipole.total_r(medium)), np.ones(COSINES)
 
     @scoped_x64
     def by_table() -> tuple[Floats, float, Floats]:
@@ -97,20 +99,22 @@ def _medium(eta: float, g: float, albedo: float, kind: Kernel, r: Floats) -> tup
         known = max(albedo, _LEAST_ALBEDO)
         medium = dipole.Medium(1 - known, known, eta)
         r_max = model.window_mfp[1]
-        rd = np.asarray(model.rd(medium, np.minimum(r, r_max)))
-        far = np.asarray(dipole.rd(medium, np.maximum(r, r_max)))
+        rd = np.asarray(model.rd(medium, jnp.asarray(np.minimum(r, r_max))))
+        far = np.asarray(dipole.rd(medium, jnp.asarray(np.maximum(r, r_max))))
         rd = np.where(r <= r_max, rd, rd[-1] * far / max(float(dipole.rd(medium, r_max)), 1e-300))
         mu = cosines()
-        lobe = np.asarray(model.total_radiance_factor(medium, mu)) / _transmittance(eta, mu)
+        lobe = np.asarray(model.total_radiance_factor(medium, jnp.asarray(mu))) / _transmittance(eta, mu)
         return rd * (albedo / known), float(model.total(medium)) * albedo / known, np.maximum(lobe / lobe[-1], 0)
 
     return by_dipole() if kind == "dipole" else by_table()
 
 
 def _transmittance(eta: float, mu: Floats) -> Floats:
+    import jax.numpy as jnp
+
     from bssrdf.transport.fresnel import fresnel_t
 
-    return np.asarray(fresnel_t(eta, mu), np.float64)
+    return np.asarray(fresnel_t(eta, jnp.asarray(mu)), np.float64)
 
 
 def _tables(fine: Floats, rd: Floats, total: float) -> tuple[Floats, Floats]:

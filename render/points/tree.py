@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numba
 import numpy as np
@@ -14,8 +14,7 @@ from bssrdf.render.points.record import Floats, Integers
 Singles = NDArray[np.float32]
 
 
-@dataclass(frozen=True)
-class LightTree:
+class LightTree(NamedTuple):
     """A heap: node i has the nodes 2i and 2i + 1 below it; the last half of the nodes hold a triangle each or none."""
 
     centre: Singles
@@ -37,19 +36,22 @@ def build_tree(corners: Floats, light: Floats) -> LightTree:
     triangle = np.full(leaves, -1, np.int32)
     order, starts = _halved(corners.mean(axis=1), levels)
     held = np.diff(starts) > 0
-    triangle[held] = order[starts[:-1][held]]
     n_channels = light.shape[-1]
     centre, spread, flux = np.zeros((2 * leaves, 3)), np.zeros((2 * leaves, 6)), np.zeros((2 * leaves, n_channels))
     low, high = np.full((2 * leaves, 3), np.inf), np.full((2 * leaves, 3), -np.inf)
-    leaf, chosen = leaves + np.flatnonzero(held), triangle[held]
+    leaf, chosen = leaves + np.flatnonzero(held), order[starts[:-1][held]]
+    triangle[held] = chosen
     centre[leaf], spread[leaf], flux[leaf] = _moments(corners, light, chosen)
     low[leaf], high[leaf] = corners[chosen].min(axis=1), corners[chosen].max(axis=1)
     _sum_up(levels, centre, spread, flux, low, high)
     reach = np.linalg.norm(np.maximum(high - centre, centre - low), axis=1)
     radius = np.where(np.isfinite(reach), reach, 0)
     radius[leaf] = np.linalg.norm(corners[chosen] - centre[leaf][:, None], axis=2).max(axis=1)
-    single = (np.asarray(part, np.float32) for part in (centre, radius, spread, flux))
-    return LightTree(*single, triangle)
+    return LightTree(_single(centre), _single(radius), _single(spread), _single(flux), triangle)
+
+
+def _single(values: Floats) -> Singles:
+    return values.astype(np.float32)
 
 
 _PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
