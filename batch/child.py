@@ -22,7 +22,7 @@ from bssrdf.batch.state import Told
 from bssrdf.errors import BssrdfError
 
 _TICK_S = 0.2
-_THREADS = ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+THREADS = ("NUMBA_NUMTHREADS", "OMP_NUMTHREADS", "OPENBLAS_NUMTHREADS", "MKL_NUMTHREADS")
 
 
 class ProcessDiedError(BssrdfError):
@@ -71,7 +71,7 @@ class KeptProcess:
             self._process = None
 
     def _start(self) -> subprocess.Popen[bytes]:
-        environment = os.environ | dict.fromkeys(_THREADS, str(self.threads))
+        environment = os.environ | dict.fromkeys(THREADS, str(self.threads))
         words = [sys.executable, "-m", "bssrdf.batch.child", str(os.getpid())]
         self._process = subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=environment)
         self._said = queue.SimpleQueue()

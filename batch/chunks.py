@@ -25,9 +25,9 @@ class Chunk(NamedTuple):
 
 
 def do_chunk(chunk: Chunk, child: KeptProcess, told: Told) -> int:
-    """Do the chunk and write its file; how many inputs it had."""
+    """Do the chunk and write its file; how many inputs, or rows of a Parquet file, it had."""
     write_chunk(chunk.file, _outcomes(chunk, child, told))
-    return len(chunk.inputs)
+    return sum(item.size for item, _, _ in chunk.inputs)
 
 
 def _outcomes(chunk: Chunk, child: KeptProcess, told: Told) -> list[InputOutcome]:

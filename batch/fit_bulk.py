@@ -26,8 +26,8 @@ class BulkCounts(NamedTuple):
     """What became of the curves of a file."""
 
     statuses: Counter[str]
-    failures: list[str]
-    """One line for each slice that could not be fitted."""
+    failures: list[tuple[str, int, str]]
+    """Name, exit code and line of each slice that could not be fitted."""
     doubts: list[str]
     """One for each whose units look wrong."""
 
@@ -38,20 +38,21 @@ def fit_parquet(
     options: FitOptions,
     keys: Mapping[str, Any],
     *,
+    rows: tuple[int, int] | None = None,
     making: Making = SILENT,
     progress: Callable[[str, int, int], None] | None = None,
 ) -> BulkCounts:
     """Fit all slices of a Parquet file, or of a folder of them, and write the fits to `out`, a row per channel.
 
-    `keys` are keys of slice.csv that win over the columns. A slice that fails is a row with its error; raises
-    InputError where the file itself cannot be read or written.
+    `keys` are keys of slice.csv that win over the columns; `rows` are those of a file that are fitted, all if None. A
+    slice that fails is a row with its error; raises InputError where the file itself cannot be read or written.
     """
     if kind_of_file(source) == "fits":
         raise InputError(f"{source}: holds fits already; give the Parquet file of their slices")
     counts = BulkCounts(Counter(), [], [])
     total, done = count_curves(source), 0
     with write_fits(out) as write:
-        for group in _groups(read_slices(source, keys, lean=True)):
+        for group in _groups(read_slices(source, keys, lean=True, rows=rows)):
             if progress is not None:
                 progress("curves", done, total)
             fits = fit_named(group, str(source), options, keys, making)
@@ -96,7 +97,7 @@ def _groups(read: Iterator[list[Named]]) -> Iterator[list[Named]]:
 def _count(counts: BulkCounts, group: list[Named], fits: list[NamedFit], source: Path, options: FitOptions) -> None:
     for each, found in zip(group, fits, strict=True):
         if isinstance(found.fit, BssrdfError):
-            counts.failures.append(str(found.fit))
+            counts.failures.append((each.name, found.fit.exit_code, str(found.fit)))
             continue
         counts.statuses.update(channel.status for channel in found.fit.channels.values())
         assert isinstance(each.slice, Slice)

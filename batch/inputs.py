@@ -1,18 +1,21 @@
-"""What a batch works on: sessions, slices and folders of frames, found once, sorted, and named for their results."""
+"""What a batch works on: sessions, slices, folders of frames and rows of Parquet files, found once and sorted."""
 
 from __future__ import annotations
 
 import hashlib
 import json
 from collections.abc import Iterator, Sequence
+from itertools import pairwise
 from pathlib import Path, PurePosixPath
 from typing import Any, Literal, NamedTuple
 
+from bssrdf.batch.arrow import is_parquet, parquet_files
+from bssrdf.batch.slices_parquet import cuts_of
 from bssrdf.errors import InputError, UsageError
 
 Stage = Literal["ingest", "measure", "fit", "report"]
 STAGES: tuple[Stage, ...] = ("ingest", "measure", "fit", "report")
-OWN = (".batch", "index.html", "results.csv", "failures.csv")
+OWN = (".batch", "fits", "index.html", "results.csv", "failures.csv")
 """What stands in the batch's folder beside the results."""
 _RESULTS = ("measured", "fit.json", "report.html", "validation.png", ".lock")
 _SMALL = 1_000_000
@@ -20,22 +23,62 @@ _SMALL = 1_000_000
 
 
 class BatchInput(NamedTuple):
-    """One session, slice or folder of frames."""
+    """One session, slice or folder of frames; or some rows of a Parquet file."""
 
     name: str
-    """Of the folder of its results."""
+    """Of the folder, or of the Parquet file, of its results."""
     path: str
-    """A path, or an address that fsspec knows."""
+    """A path, or an address that fsspec knows; `FILE#FIRST-END` for rows of a Parquet file."""
+    rows: tuple[int, int] | None = None
+    """The first, and the one after the last."""
+
+    @property
+    def file(self) -> str:
+        return self.path.rpartition("#")[0] if self.rows else self.path
+
+    @property
+    def size(self) -> int:
+        """As the progress counts: 1, or the number of rows."""
+        return self.rows[1] - self.rows[0] if self.rows else 1
 
 
-def find_inputs(what: Sequence[str], stages: Sequence[Stage]) -> list[BatchInput]:
+def find_inputs(what: Sequence[str], stages: Sequence[Stage], together: int) -> list[BatchInput]:
     """What the arguments stand for, sorted by path; InputError for one that stands for nothing.
 
     A folder with a session.toml is a session; any other is searched for sessions, then, if nothing is measured, for
-    slices; with `ingest` it is one of frames. A .txt file lists paths, one on each line.
+    slices; with `ingest` it is one of frames. A .txt file lists paths, one on each line. A Parquet file, or each of
+    those in a folder, is cut after every `together` slices; such files come by themselves.
     """
-    paths = sorted({path for each in what for path in _found(each, stages)})
+    listed = [path for each in what for path in _listed(each)]
+    bulk = [Path(path) for path in listed if "://" not in path and is_parquet(Path(path))]
+    if bulk and (len(bulk) < len(listed) or [*stages] != ["fit"]):
+        raise UsageError(f"{bulk[0]}: is Parquet; give such files by themselves, and --stages fit")
+    if bulk:
+        return _spans(bulk, together)
+    paths = sorted({path for each in listed for path in _found(each, stages)})
     return [*map(BatchInput, _names(paths), paths)]
+
+
+def _spans(what: Sequence[Path], together: int) -> list[BatchInput]:
+    """The rows of the files, cut between slices."""
+    files = sorted({str(file.absolute()) for path in what for file in parquet_files(path)})
+    spans: list[BatchInput] = []
+    seen: set[str] = set()
+    for name, file in zip(_names(files), files, strict=True):
+        ends = cuts_of(Path(file), together, seen)
+        spans += [
+            BatchInput(f"{name.removesuffix('.parquet')}-{at:06}", f"{file}#{first}-{end}", (first, end))
+            for at, (first, end) in enumerate(pairwise(ends))
+        ]
+    if not spans:
+        raise InputError(f"{what[0]}: holds no slice; give Parquet files that do")
+    return spans
+
+
+def _listed(what: str) -> list[str]:
+    """The lines of a list, or what was given itself."""
+    is_list = "://" not in what and what.endswith(".txt") and Path(what).is_file()
+    return _lines(Path(what)) if is_list else [what]
 
 
 def _found(what: str, stages: Sequence[Stage]) -> Iterator[str]:
@@ -43,10 +86,7 @@ def _found(what: str, stages: Sequence[Stage]) -> Iterator[str]:
         yield from _remote(what)
         return
     path = Path(what)
-    if path.suffix == ".txt" and path.is_file():
-        for line in _lines(path):
-            yield from _found(line, stages)
-    elif path.is_file():
+    if path.is_file():
         if "measure" in stages or path.suffix != ".csv":
             raise InputError(f"{path}: is a file; give sessions, folders of them, or with --stages fit slices (.csv)")
         yield str(path.absolute())
@@ -70,10 +110,13 @@ def _below(folder: Path, stages: Sequence[Stage]) -> list[str]:
 
 def _lines(file: Path) -> list[str]:
     try:
-        lines = file.read_text(encoding="utf-8").splitlines()
+        lines = [line.strip() for line in file.read_text(encoding="utf-8-sig").splitlines()]
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"{file}: cannot be read ({error}); write one path on each line") from error
-    return [line.strip() for line in lines if line.strip() and not line.startswith("#")]
+    paths = [line for line in lines if line and not line.startswith("#")]
+    if not paths:
+        raise InputError(f"{file}: lists nothing; write one path on each line")
+    return paths
 
 
 def filesystem(address: str) -> tuple[Any, str]:

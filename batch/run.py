@@ -18,28 +18,33 @@ from filelock import FileLock, Timeout
 from bssrdf.batch.child import KeptProcess
 from bssrdf.batch.chunks import Chunk, do_chunk
 from bssrdf.batch.inputs import BatchInput, Stage, find_inputs, signature
-from bssrdf.batch.stages import StageOptions
+from bssrdf.batch.stages import StageOptions, result_of
 from bssrdf.batch.state import InputOutcome, is_finished, read_chunk, stage_keys
-from bssrdf.batch.sums import write_sums
+from bssrdf.batch.sums import failures_of, write_sums
 from bssrdf.errors import UsageError
 from bssrdf.session import atomic_write, make_folder
 
-MEASURED, PLAIN = 4, 256
-"""Inputs in a chunk: with frames, of which each takes seconds, and without, which the fit takes together."""
+MEASURED, PLAIN, BULK = 4, 256, 2048
+"""Inputs in a chunk: with frames, of which each takes seconds; without, which the fit takes together; and slices of
+Parquet files, for which nothing but the fit is written."""
 _WAIT_S = 5.0
 """For a batch that is about to end."""
 Progress = Callable[[str, int, int], None]
 
 
 class BatchResult(NamedTuple):
-    """All outcomes in the order of the inputs, and how many inputs had nothing to be done."""
+    """All outcomes in the order of the inputs, and what there was to do."""
 
     outcomes: list[InputOutcome]
+    unit: str
+    """What is counted: sessions, or the curves of Parquet files."""
+    total: int
     skipped: int
+    """Done before."""
 
     @property
     def failures(self) -> list[str]:
-        return [each.failed[2] for each in self.outcomes if each.failed is not None]
+        return [line for each in self.outcomes for *_, line in failures_of(each)]
 
 
 def run_batch(
@@ -56,21 +61,23 @@ def run_batch(
     """Run the stages for all that `what` stands for; results go to `out`, a folder for each input.
 
     What an earlier run finished, on the same inputs with the same version and options, is not done again. `chunk` is
-    how many inputs are finished, redone or lost together: a few with frames, many without, if None. `cluster`
+    how many inputs, or slices of a Parquet file, are finished, redone or lost together: a few with frames, many
+    without, if None. `cluster`
     is `local:N` or the address of a Dask scheduler; `memory` [bytes] is what a worker may take. An input that fails
     is an outcome with its error. Raises InputError or UsageError where there is nothing to do or nowhere to write.
     """
-    inputs = find_inputs(what, stages)
+    inputs = find_inputs(what, stages, chunk or BULK)
     state = _opened(out)
     with _locked(out, state):
         inputs = _named_as_before(inputs, state)
-        size = chunk or (MEASURED if {"ingest", "measure"} & set(stages) else PLAIN)
+        size = 1 if inputs[0].rows else chunk or (MEASURED if {"ingest", "measure"} & set(stages) else PLAIN)
         wanted = _wanted(inputs, stages, options, progress)
         chunks = _chunks(out, state, wanted, stages, options, size)
         _write_plan(state, inputs, size)
-        todo = [c for c in chunks if not is_finished(read_chunk(c.file), [(item, keys) for item, _, keys in c.inputs])]
-        done = len(inputs) - sum(len(chunk.inputs) for chunk in todo)
-        pace = _Pace(done, len(inputs), progress)
+        todo = [chunk for chunk in chunks if not _is_finished(chunk)]
+        unit, total = "curves" if inputs[0].rows else "inputs", sum(item.size for item in inputs)
+        done = total - sum(item.size for chunk in todo for item, _, _ in chunk.inputs)
+        pace = _Pace(done, total, unit, progress)
         if cluster is None:
             _here(todo, memory, pace)
         else:
@@ -79,9 +86,22 @@ def run_batch(
             for count in on_cluster(cluster, todo, memory):
                 pace.more(count)
         outcomes = [outcome for chunk in chunks for outcome in read_chunk(chunk.file)]
-        write_sums(out, outcomes, stages)
-        _forget_others(state, chunks)
-    return BatchResult(outcomes, done)
+        write_sums(out, outcomes, bulk=inputs[0].rows is not None)
+        _forget_others(out, state, chunks)
+    return BatchResult(outcomes, unit, total, done)
+
+
+def _is_finished(chunk: Chunk) -> bool:
+    """Whether an earlier run did all of it on the same, and its results are still there."""
+    outcomes = read_chunk(chunk.file)
+    if not is_finished(outcomes, [(item, keys) for item, _, keys in chunk.inputs]):
+        return False
+    return all(
+        result_of(chunk.out, item, stage).exists()
+        for (item, _, _), outcome in zip(chunk.inputs, outcomes, strict=True)
+        for stage in (() if outcome.failed else chunk.stages)
+        if stage != "ingest"
+    )
 
 
 def _here(todo: Sequence[Chunk], memory: float | None, pace: _Pace) -> None:
@@ -96,8 +116,8 @@ def _here(todo: Sequence[Chunk], memory: float | None, pace: _Pace) -> None:
 class _Pace:
     """How far the batch is, in words."""
 
-    def __init__(self, done: int, total: int, progress: Progress | None) -> None:
-        self._done, self._total, self._new, self._progress = done, total, 0, progress
+    def __init__(self, done: int, total: int, unit: str, progress: Progress | None) -> None:
+        self._done, self._total, self._unit, self._new, self._progress = done, total, unit, 0, progress
         self._began = time.monotonic()
         self.tell("")
 
@@ -111,7 +131,7 @@ class _Pace:
         if self._progress is not None:
             rate = self._new / max(time.monotonic() - self._began, 1e-9)
             left = f"{(self._total - self._done) / rate:.0f} s left" if rate else "…"
-            self._progress(f"{rate:.3g} sessions/s, {left} {name[:30]}".rstrip(), self._done, self._total)
+            self._progress(f"{rate:.3g} {self._unit}/s, {left} {name[:30]}".rstrip(), self._done, self._total)
 
 
 def _opened(out: Path) -> Path:
@@ -161,7 +181,7 @@ def _wanted(
     for at, item in enumerate(inputs):
         if progress is not None and not at % 100:
             progress("looking for changes", at, len(inputs))
-        wanted.append((item, stage_keys(signature(item.path), stages, by_stage)))
+        wanted.append((item, stage_keys(signature(item.file), stages, by_stage)))
     return wanted
 
 
@@ -194,8 +214,12 @@ def _write_plan(state: Path, inputs: Sequence[BatchInput], size: int) -> None:
         part.write_text(json.dumps(document, ensure_ascii=False, indent=1) + "\n", encoding="utf-8")
 
 
-def _forget_others(state: Path, chunks: Sequence[Chunk]) -> None:
-    """Remove the chunks of earlier lists, whose outcomes stand in those of this one."""
+def _forget_others(out: Path, state: Path, chunks: Sequence[Chunk]) -> None:
+    """Remove the chunks of earlier lists, whose outcomes stand in those of this one, and their files of fits."""
+    if chunks[0].inputs[0][0].rows:
+        results = {result_of(out, item, "fit") for chunk in chunks for item, _, _ in chunk.inputs}
+        for file in {*(out / "fits").glob("*.parquet")} - results:
+            file.unlink()
     own = {chunk.file.parent for chunk in chunks}
     for folder in state.iterdir():
         if folder.is_dir() and folder not in own:

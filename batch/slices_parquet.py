@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from itertools import pairwise
+from itertools import accumulate, pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -48,6 +48,7 @@ from bssrdf.session.slice_checks import (
 
 if TYPE_CHECKING:
     import pyarrow as pa
+    import pyarrow.parquet as pq
 
 KEYS = keys_of(Slice)
 KINDS = kinds(KEYS)
@@ -74,16 +75,45 @@ def count_curves(path: Path) -> int:
     return total
 
 
-def read_slices(path: Path, overrides: Mapping[str, Any] | None = None, *, lean: bool = False) -> Iterator[list[Named]]:
+def cuts_of(file: Path, together: int, seen: set[str]) -> list[int]:
+    """The row at which each run of so many slices begins, and the number of rows.
+
+    Raises InputError where the file does not hold slices, or where a name stands in two places, here or in `seen`,
+    the names of files before.
+    """
+    starts: list[int] = []
+    count, last = 0, None
+    with opened(file) as stored:
+        _check(file, stored)
+        for batch in stored.iter_batches(batch_size=65536, columns=["name"]):
+            names = batch.column(0).to_pylist()
+            begun = [at for at, name in enumerate(names) if name != (names[at - 1] if at else last)]
+            for name in (names[at] for at in begun):
+                if name in seen:
+                    raise InputError(f"{file}: slice {name} stands in two places; sort the rows by name")
+                seen.add(name)
+            starts += [count + at for at in begun]
+            count, last = count + len(names), names[-1]
+    return [*starts[::together], count] if count else []
+
+
+def read_slices(
+    path: Path,
+    overrides: Mapping[str, Any] | None = None,
+    *,
+    lean: bool = False,
+    rows: tuple[int, int] | None = None,
+) -> Iterator[list[Named]]:
     """The slices of a file, or of the files in a folder, some thousand curves at a time.
 
-    `overrides` are keys of slice.csv that win over the columns; `lean` leaves the provenance out. A slice that cannot
-    be used is an InputError in its place; raises InputError where the file itself cannot.
+    `overrides` are keys of slice.csv that win over the columns; `lean` leaves the provenance out; `rows` of a file are
+    all if None. A slice that cannot be used is an InputError in its place; raises InputError where the file itself
+    cannot.
     """
     given = checked_keys(path, "", {key: each for key, each in (overrides or {}).items() if each is not None}, Slice)
     seen: set[str] = set()
     for file in parquet_files(path):
-        for table in _whole(file, lean):
+        for table in _whole(file, lean, rows):
             yield [*_slices(file, table, given, seen)]
 
 
@@ -135,16 +165,32 @@ def _lists(name: str, arrays: Sequence[NDArray[Any] | None]) -> Any:
     )
 
 
-def _whole(path: Path, lean: bool) -> Iterator[Any]:
-    """The file's rows as tables in which no slice is cut."""
+def _check(path: Path, file: pq.ParquetFile) -> None:
+    check_columns(path, file.schema_arrow.names, [*_NAMES, *KEYS, *COLUMNS], ["name", "channel", *NEEDED])
+
+
+def _tables(file: pq.ParquetFile, columns: Sequence[str], rows: tuple[int, int] | None) -> Iterator[Any]:
+    """Tables of some rows of the file; groups of rows without any of them are not read."""
+    first, end = rows or (0, file.metadata.num_rows)
+    sizes = [file.metadata.row_group(at).num_rows for at in range(file.num_row_groups)]
+    begins = [0, *accumulate(sizes)]
+    groups = [at for at, (begin, after) in enumerate(pairwise(begins)) if begin < end and after > first]
+    row = begins[groups[0]] if groups else 0
+    for batch in file.iter_batches(batch_size=ROWS, row_groups=groups, columns=columns):
+        from_, to = max(first - row, 0), min(end - row, len(batch))
+        row += len(batch)
+        if from_ < to:
+            yield arrow().Table.from_batches([batch.slice(from_, to - from_)])
+
+
+def _whole(path: Path, lean: bool, rows: tuple[int, int] | None) -> Iterator[Any]:
+    """The rows as tables in which no slice is cut."""
     pa = arrow()
     with opened(path) as file:
-        names = file.schema_arrow.names
-        check_columns(path, names, [*_NAMES, *KEYS, *COLUMNS], ["name", "channel", *NEEDED])
-        wanted = [name for name in names if not (lean and name == "provenance")]
+        _check(path, file)
+        wanted = [name for name in file.schema_arrow.names if not (lean and name == "provenance")]
         rest = None
-        for batch in file.iter_batches(batch_size=ROWS, columns=wanted):
-            table = pa.Table.from_batches([batch])
+        for table in _tables(file, wanted, rows):
             table = table if rest is None else pa.concat_tables([rest, table])
             start = _last_start(table["name"])
             rest = table.slice(start)

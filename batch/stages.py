@@ -61,7 +61,7 @@ class _Work:
             self.known is not None
             and (self.known.failed is None or STAGES.index(self.known.failed[0]) > STAGES.index(stage))
             and self.known.keys.get(stage) == self.keys[stage]
-            and (self.folder / _RESULT[stage]).exists()
+            and result_of(self.folder.parent, self.item, stage).exists()
         )
 
 
@@ -71,7 +71,11 @@ _RESULT: dict[Stage, str] = {
     "fit": "fit.json",
     "report": "report.html",
 }
-"""The file that a stage writes last."""
+
+
+def result_of(out: Path, item: BatchInput, stage: Stage) -> Path:
+    """The file that a stage writes last."""
+    return out / "fits" / f"{item.name}.parquet" if item.rows else out / item.name / _RESULT[stage]
 
 
 def run_stages(
@@ -86,6 +90,8 @@ def run_stages(
 
     `begun` is told each input before work on it begins. Raises CannotGoOnError where nothing can be written.
     """
+    if inputs[0][0].rows:
+        return [_bulk(item, keys, out, options) for item, _, keys in inputs]
     works = [
         _Work(item, out / item.name, known, keys, InputOutcome(item.name, item.path, dict(keys)))
         for item, known, keys in inputs
@@ -104,6 +110,21 @@ def run_stages(
     return [work.outcome for work in works]
 
 
+def _bulk(item: BatchInput, keys: StageKeys, out: Path, options: StageOptions) -> InputOutcome:
+    """Rows of a Parquet file into a file of their fits."""
+    from bssrdf.batch.fit_bulk import fit_parquet
+
+    outcome = InputOutcome(item.name, item.path, dict(keys))
+    target = result_of(out, item, "fit")
+    try:
+        make_folder(target.parent)
+        counts = fit_parquet(Path(item.file), target, options.fit, options.keys, rows=item.rows)
+        outcome.statuses, outcome.lost = dict(sorted(counts.statuses.items())), counts.failures
+    except Exception as error:  # our own bug costs some rows, not the batch
+        outcome.failed = _failure("fit", error, item.path, target)
+    return outcome
+
+
 def _attempt(work: _Work, stage: Stage, call: Callable[[], None]) -> None:
     try:
         call()
@@ -112,16 +133,22 @@ def _attempt(work: _Work, stage: Stage, call: Callable[[], None]) -> None:
 
 
 def _failed(work: _Work, stage: Stage, error: Exception) -> None:
+    stage, code, line = _failure(stage, error, work.item.path, work.folder)
+    if work.brought is not None:  # the copy is ours, the file that has to be mended is not
+        line = line.replace(str(work.folder / "measured" / "slice.csv"), work.brought)
+    work.outcome.failed = (stage, code, line)
+
+
+def _failure(stage: Stage, error: Exception, path: str, target: Path) -> tuple[Stage, int, str]:
+    """Stage, exit code and line; CannotGoOnError where the disk is full."""
     cause: BaseException | None = error
     while cause is not None:
         if isinstance(cause, OSError) and cause.errno in _DISK:
-            raise CannotGoOnError(f"{work.folder}: {cause.strerror}; make room, and run the same command again")
+            raise CannotGoOnError(f"{target}: {cause.strerror}; make room, and run the same command again")
         cause = cause.__cause__
     ours = isinstance(error, BssrdfError)
-    line = str(error) if ours else f"{work.item.path}: an internal error: {error!r}"
-    if work.brought is not None:  # the copy is ours, the file that has to be mended is not
-        line = line.replace(str(work.folder / "measured" / "slice.csv"), work.brought)
-    work.outcome.failed = (stage, error.exit_code if isinstance(error, BssrdfError) else 1, " ".join(line.split()))
+    line = str(error) if ours else f"{path}: an internal error: {error!r}"
+    return stage, error.exit_code if isinstance(error, BssrdfError) else 1, " ".join(line.split())
 
 
 def _prepare(work: _Work, stages: Sequence[Stage], options: StageOptions) -> None:

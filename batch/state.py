@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +31,10 @@ class InputOutcome:
     material: str | None = None
     channels: dict[str, Any] = field(default_factory=dict)
     """As in fit.json."""
+    statuses: dict[str, int] = field(default_factory=dict)
+    """Of rows of a Parquet file: how many curves came to each."""
+    lost: list[tuple[str, int, str]] = field(default_factory=list)
+    """Of those rows: name, exit code and line of each slice that failed."""
 
 
 def stage_keys(signature: str, stages: Sequence[Stage], options: Mapping[str, Any]) -> StageKeys:
@@ -56,7 +60,7 @@ def read_chunk(file: Path) -> list[InputOutcome]:
         found = [InputOutcome(**each) for each in json.loads(file.read_text(encoding="utf-8"))]
     except (OSError, ValueError, TypeError):
         return []
-    return [InputOutcome(**{**asdict(each), "failed": each.failed and tuple(each.failed)}) for each in found]
+    return [replace(each, failed=(*each.failed,)) if each.failed else each for each in found]
 
 
 def is_finished(outcomes: Sequence[InputOutcome], wanted: Sequence[tuple[BatchInput, StageKeys]]) -> bool:

@@ -90,7 +90,8 @@ def _bytes(_: click.Context, option: click.Parameter, given: str | None) -> floa
 @click.option(
     "--chunk",
     type=click.IntRange(1),
-    help="Inputs that are finished, or lost by a break, together. Default: 4 with frames, 256 without.",
+    help="Inputs that are finished, or lost by a break, together. Default: 4 with frames, 256 without, 2048 slices of "
+    "Parquet.",
 )
 @click.option("--memory", callback=_bytes, metavar="SIZE", help="What a worker may take, such as 2GB.")
 def batch(
@@ -108,7 +109,7 @@ def batch(
 ) -> None:
     """Run stages for many sessions, here or on a cluster.
 
-    An input is a session, a folder of them, a slice, a list in a .txt file, or an address.
+    An input is a session, a folder of them, a slice, a Parquet file of slices, a list in a .txt file, or an address.
 
     Nothing is written into them. Run the same command again after a break: what is done is not done again.
     """
@@ -130,6 +131,6 @@ def batch(
         result = run_batch(what, out, chosen, options, chunk=chunk, cluster=cluster, memory=memory, progress=progress)
     failures = result.failures
     same = f", {result.skipped} of them done before" if result.skipped else ""
-    click.echo(f"{out}: {len(result.outcomes)} inputs{same}; {len(failures)} failed; see {out / 'index.html'}")
+    click.echo(f"{out}: {result.total} {result.unit}{same}; {len(failures)} failed; see {out / 'index.html'}")
     warn_of(failures, f": see {out / 'failures.csv'}")
     click.get_current_context().exit(BAD_INPUT if failures else 0)

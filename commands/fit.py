@@ -137,7 +137,7 @@ def _fit_bulk(
     failed = f"; {len(counts.failures)} slices failed" if counts.failures else ""
     click.echo(f"{out}: {said or 'no curve'}{failed}")
     warn_of(counts.doubts, " whose units look wrong")
-    warn_of(counts.failures, f": see `error` in {out}")
+    warn_of([line for _, _, line in counts.failures], f": see `error` in {out}")
     click.get_current_context().exit(BAD_INPUT if counts.failures else 0)
 
 
