@@ -88,15 +88,13 @@ def _holding_radius(medium: Medium) -> float:
 
 def remarks(scene: Scene) -> list[str]:
     """Warnings: coefficients that cannot be in 1/mm for bodies of this size."""
-    found = []
-    for name, body in scene.bodies.items():
-        longest = max(body.material.mean_free_path)
-        if longest > body.size_mm:
-            found.append(
-                f"{name}: the mean free path of {body.material.name}, {longest:.3g} mm, is larger than the body, "
-                f"{body.size_mm:.3g} mm: are the coefficients in 1/mm and the mesh in mm?"
-            )
-    return found
+    return [
+        f"{name}: in {body.material.name} light spreads {max(spread_mm(body.material)):.3g} mm, over a mean free path "
+        f"of {longest:.3g} mm, and the body is {body.size_mm:.3g} mm large: are the coefficients in 1/mm and the mesh "
+        "in mm? (--height-mm scales a mesh)"
+        for name, body in scene.bodies.items()
+        if (longest := max(body.material.mean_free_path)) > body.size_mm
+    ]
 
 
 def mc_refusal(scene: Scene) -> str | None:

@@ -50,6 +50,13 @@ def read_mesh(path: Path, *, height_mm: float | None = None) -> MeshFile:
         remarks.append(f"{path}: has no normals; smooth ones were taken from its faces")
     if len(normals) != len(vertices):
         normals = face_normals(vertices, faces)
+    if _volume(vertices, faces) < 0:
+        remarks.append(f"{path}: its faces look inwards; they were turned over")
+        faces = faces[:, ::-1].copy()
+    if not _agree(vertices, faces, normals):
+        if _names_normals(path):
+            remarks.append(f"{path}: its normals point into the body; smooth ones were taken from its faces")
+        normals = face_normals(vertices, faces)
     scale = 1.0 if height_mm is None else height_mm / extent[2]
     return MeshFile(TriangleMesh(scale * vertices, normals, _around(vertices), faces), tuple(remarks))
 
@@ -62,6 +69,16 @@ def face_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     for corner in range(3):
         np.add.at(normals, faces[:, corner], across)
     return np.asarray(normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30))
+
+
+def _volume(vertices: np.ndarray, faces: np.ndarray) -> float:
+    a, b, c = np.moveaxis((vertices - vertices.mean(axis=0))[faces], 1, 0)
+    return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6)
+
+
+def _agree(vertices: np.ndarray, faces: np.ndarray, normals: np.ndarray) -> bool:
+    """Whether normals are on the outer side of most faces."""
+    return bool(np.median(np.einsum("ij,ij->i", normals, face_normals(vertices, faces))) > 0)
 
 
 def _load(path: Path) -> Any:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import time
+import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -52,6 +53,7 @@ def load_stage(scene: Scene | Path, options: RenderOptions, colour: Literal["rgb
     use_variant(colour)
     import mitsuba as mi
 
+    from bssrdf.render.faults import faults, unit_faults
     from bssrdf.render.integrator import register
 
     register()
@@ -63,6 +65,9 @@ def load_stage(scene: Scene | Path, options: RenderOptions, colour: Literal["rgb
         raise InputError(f"{name}: {cause(error)}") from error
     if not loaded.emitters():
         raise InputError(f"{name}: has no light; add an emitter")
+    if options.model != "mc":
+        for line in faults(loaded) + (unit_faults(loaded) if isinstance(scene, Path) else []):
+            warnings.warn(line, stacklevel=2)
     return stage
 
 
@@ -80,6 +85,8 @@ def render(
         began = time.perf_counter()
         images.append(render_pass(stage, size, seed * 100_003 + number))
         times.append(time.perf_counter() - began)
+    if not np.any(images):
+        warnings.warn(f"{stage.name}: the picture is black; no light reaches what the camera sees", stacklevel=2)
     compile_s = max(0.0, times[0] - float(np.median(times[1:])))
     stack = np.stack(images)
     variance = stack.var(axis=0, ddof=1) / passes

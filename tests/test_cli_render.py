@@ -182,7 +182,7 @@ def test_a_mesh_without_normals_or_too_small_for_its_medium_is_remarked(
     assert bssrdf("render", "bust", "--mesh", tmp_path / "bit.ply", *options) == 0
     said = capsys.readouterr().err
     assert "has no normals" in said
-    assert "larger than the body" in said
+    assert "0.456 mm, and the body is 0.0423 mm large" in said
 
 
 @needs_renderer
