@@ -63,6 +63,7 @@ def profile(plan: Plan, model: Light, data: Problem, found: Solution, inflation:
             slope = np.where(far_rise != near_rise, far_rise - near_rise, 1.0)
             middle = near - near_rise[:, None] * (far - near) / slope[:, None]
             middle = np.where(np.isfinite(middle), middle, (near + far) / 2)
+            middle = np.clip(middle, np.minimum(near, far), np.maximum(near, far))  # beyond, where nothing has crossed
             here = held(middle)[0] - lowest - rise
             below = here < 0
             far_rise = np.where(below, far_rise / 2, here)

@@ -184,6 +184,18 @@ def test_a_bound_of_sigma_a_is_where_no_medium_of_that_sigma_a_fits(sigma_a: flo
             assert rise == pytest.approx(ONE_SIDED if bounds.lower[0] == 0 else TWO_SIDED, rel=2e-3)
 
 
+def test_a_bound_is_the_same_beside_a_curve_that_has_none() -> None:
+    """Light near the beam hardly tells σa: where errors are 1 % there is an upper bound, where they are 60 % none."""
+    r_mm = np.linspace(0.1, 0.4, 20) / SIGMA_SP
+    rd, _ = model_light(table_model(ETA, G), 2e-3, SIGMA_SP, r_mm)
+    clear, vague = (slice_of(r_mm, rd, sd=sd, eta=ETA, g=G) for sd in (0.01, 0.6))
+    together = fitted([clear, vague], "mc", "none")
+    alone = [fitted([piece], "mc", "none")[0] for piece in (clear, vague)]
+    assert np.isfinite(together[0].sigma_a_interval95_per_mm[1])
+    assert not np.isfinite(together[1].sigma_a_interval95_per_mm[1])
+    np.testing.assert_allclose(together[0].sigma_a_interval95_per_mm, alone[0].sigma_a_interval95_per_mm, rtol=1e-5)
+
+
 @pytest.mark.parametrize(("key", "step"), [("eta", 0.01), ("g", 0.02)])
 def test_sensitivity_is_what_a_fit_under_another_medium_finds(key: str, step: float) -> None:
     """As a camera at 45° sees it, where η changes the convention and the law of exit as well as the light."""
