@@ -45,6 +45,11 @@ DARK_Q = 1.0
 """Likewise: R hardly tells one dark medium from another."""
 SURELY_POOR = 4.0
 """Standard deviations of χ² from which on a misfit is not chance: errors are taken as larger, others are tried."""
+FAR = 5.0
+"""Mean free paths; without R every valley is followed from here on."""
+FURTHER = 3
+"""Times that a search which has run out of steps goes on: of 2,000 exact curves two that lie beyond 20 mean free paths
+need one or two."""
 RIVAL = 4.0
 """Of the cost, in the scatter's own variance: a second optimum this near the best is as good."""
 
@@ -315,8 +320,9 @@ def _best(plan: Plan, model: Light, data: Problem, aside: Neighbours, *, compile
         misfits = np.stack([np.where(np.isfinite(misfit), misfit, np.inf) for _, misfit in begun])
         points = np.stack([np.concatenate(point, axis=1) for point, _ in begun])
         order = np.argsort(misfits, axis=0, kind="stable")
-        found = settle(NUMPY, plan, model, data, _point(points[order[0], rows]), aside)
-        likely = [misfits[place, rows] < NEAR_BEST * misfits[order[0], rows] + 10 for place in order[1:]]
+        found = _at_rest(plan, model, data, _point(points[order[0], rows]), aside)
+        vague = _is_far(data, found) if not plan.totals else np.zeros(b, bool)
+        likely = [vague | (misfits[place, rows] < NEAR_BEST * misfits[order[0], rows] + 10) for place in order[1:]]
         others = [(np.flatnonzero(near), points[place, rows]) for near, place in zip(likely, order[1:], strict=True)]
     doubtful = np.flatnonzero(
         ~found.converged | (found.cost > DOUBTFUL * _count(found)) | (found.point.q[:, 0] > DARK_Q)
@@ -329,9 +335,28 @@ def _best(plan: Plan, model: Light, data: Problem, aside: Neighbours, *, compile
         ours = np.concatenate(found.point, axis=1)[chosen]
         again = chosen[(np.abs(_logs(point[chosen]) - _logs(ours)) > DISTINCT).any(axis=1)]
         if again.size:
-            ended = settle(NUMPY, plan, model, picked(data, again), _point(point[again]), aside)
+            ended = _at_rest(plan, model, picked(data, again), _point(point[again]), aside)
             found, rival = _compared(model, data, found, ended, again, rival)
     return found, _point(rival)
+
+
+def _is_far(data: Problem, found: Solution) -> NDArray[np.bool_]:
+    """Rows whose data all lie beyond FAR: there light tells the scale and the albedo by its decay alone."""
+    inner = np.min([c.reach[:, 0] for c in data.curves], axis=0)
+    far: NDArray[np.bool_] = inner * np.exp(found.point.log_sigma[:, 0]) > FAR
+    return far
+
+
+def _at_rest(plan: Plan, model: Light, data: Problem, begin: Point, aside: Neighbours) -> Solution:
+    """`settle`, and again for those on a long way: far out, where light falls by decades, each turn goes part of it."""
+    found = settle(NUMPY, plan, model, data, begin, aside)
+    for _ in range(FURTHER):
+        far = np.flatnonzero(~found.converged & np.isfinite(found.cost))
+        if not far.size:
+            break
+        rest = settle(NUMPY, plan, model, picked(data, far), picked(found.point, far), aside)
+        found = replaced(found, far, rest)
+    return found
 
 
 def surely_poor(judged: Judged) -> NDArray[np.bool_]:

@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from builders import changed, model_slice, with_rd
+from builders import changed, model_light, model_slice, slice_of, with_rd
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
@@ -185,6 +185,29 @@ def test_a_total_that_contradicts_the_curve_is_flagged(table: dict[str, ChannelF
 def test_a_constant_and_pure_noise_are_not_fitted_in_silence(table: dict[str, ChannelFit]) -> None:
     assert table["pure noise"].status in ("unidentifiable", "failed")
     assert {"poor_fit", "scale_suspect", "noise"} & set(table["constant"].flags)
+
+
+@pytest.mark.parametrize(
+    ("eta", "g", "sigma_a", "sigma_sp", "x_mfp"),
+    [
+        (1.5, 0.0, 0.0448, 2.424, np.geomspace(21.3, 105.4, 18)),
+        (1.4, 0.8, 0.1764, 4.044, np.linspace(60.1, 200, 7)),
+        (1.33, 0.9, 0.0332, 3.168, np.linspace(38.3, 192, 48)),
+    ],
+)
+def test_light_far_out_without_r_is_not_fitted_in_a_wrong_valley(
+    eta: float, g: float, sigma_a: float, sigma_sp: float, x_mfp: np.ndarray
+) -> None:
+    """Exact light of the table itself, by decades below that of the beam; where two media fit alike, that is said."""
+    r_mm = x_mfp / (sigma_a + sigma_sp)
+    rd, _ = model_light(table_model(eta, g), sigma_a, sigma_sp, r_mm)
+    [fit] = fit_slices([slice_of(r_mm, rd, eta=eta, g=g)], FitOptions(model="mc"))
+    if fit["G"].status == "converged":
+        assert fit["G"].sigma_a_per_mm == pytest.approx(sigma_a, rel=2e-3)
+        assert fit["G"].sigma_sp_per_mm == pytest.approx(sigma_sp, rel=2e-3)
+    else:
+        assert fit["G"].status == "unidentifiable"
+        assert "two_media" in fit["G"].flags
 
 
 @pytest.mark.parametrize("name", ["micrometres", "metres"])
