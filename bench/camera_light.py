@@ -1,33 +1,52 @@
-"""Light as a camera at an angle sees it, walked apart from the tables: what intervals of camera slices are tried on.
+"""Do intervals hold on light as a camera at an angle sees it? `python -m bssrdf.bench.camera_light` tries, and counts.
 
-Every collision of these walks sends its share towards the camera (`rig.sim.peel_off`); each seed is a light of its own.
+The light is walked apart from the tables (`camera_walk`), towards all angles at once; each seed is a light of its own.
 Lengths in mm, coefficients in 1/mm.
 """
 
 from __future__ import annotations
 
+import sys
+from collections.abc import Iterable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bssrdf.rig import SampleMedium, SeenLight, seen_light
-from bssrdf.session.records import ChannelSlice, Slice
+from bssrdf.bench.camera_walk import camera_walk
+from bssrdf.fit import FitOptions, fit_slices
+from bssrdf.rig import SampleMedium
+from bssrdf.session.records import ChannelFit, ChannelSlice, Slice
+from bssrdf.transport.exit_radiance import transmittance
+from bssrdf.transport.photon import stream_states
 
 Floats = NDArray[np.float64]
 
+
+class Tried(NamedTuple):
+    """A medium, and how many photons a seed takes for 1 to 2 % of noise in a ring."""
+
+    medium: SampleMedium
+    photons: int
+
+
 MEDIA = {
-    "Wholemilk R": SampleMedium(0.0011, 2.55, 1.3),
-    "Ketchup R": SampleMedium(0.061, 0.18, 1.3),
-    "Skin1 G, g 0.8": SampleMedium(0.17, 0.88, 1.3, 0.8),
-    "Marble G, g 0.8": SampleMedium(0.0041, 2.62, 1.5, 0.8),
+    "Whole milk R": Tried(SampleMedium(0.0011, 2.55, 1.3), 60_000),
+    "Ketchup R": Tried(SampleMedium(0.061, 0.18, 1.3), 500_000),
+    "Skin1 G, g 0.8": Tried(SampleMedium(0.17, 0.88, 1.3, 0.8), 400_000),
+    "Marble G, g 0.8": Tried(SampleMedium(0.0041, 2.62, 1.5, 0.8), 100_000),
 }
 ANGLES_DEG = (0.0, 30.0, 45.0, 60.0)
+SEEDS = 6
+NOISE, TOTAL_NOISE = 0.01, 0.002
+KEYS = ("sigma_sp", "sigma_a")
+RINGS = 54
 NEAREST_MFP, FARTHEST_MFP = 0.3, 24.0
 FAINTEST = 1e-5
 """Of the nearest ring: fainter ones are left out."""
-PHOTONS = 60_000
-"""Of a walk: about 2 % of noise in a ring, for one to ten seconds."""
 
 
 @dataclass(frozen=True)
@@ -41,7 +60,7 @@ class CameraLight:
     across: Floats
     """(seeds, n) [1/mm²]: at a right angle to the camera's plane of view, as a thin slice across the view."""
     around: Floats
-    """(seeds, n) [1/mm²]: the mean over all azimuths."""
+    """(seeds, n) [1/mm²]: light scattered twice or more, the mean over all azimuths."""
     total: Floats
     """(seeds,): over the whole surface."""
 
@@ -51,25 +70,50 @@ class CameraLight:
         return np.asarray(np.std(self.across, axis=0, ddof=1) / np.mean(self.across, axis=0))
 
 
-def camera_light(
-    medium: SampleMedium, view_angle_deg: float, seeds: range | tuple[int, ...], photons: int = PHOTONS
-) -> CameraLight:
-    """The light of each seed, kept in the user's cache."""
-    lights = [seen_light(medium, view_angle_deg, photons=photons, seed=seed, anew=True) for seed in seeds]
-    edges = lights[0].r_edges_mm
-    sigma_tp = medium.sigma_a + medium.sigma_sp
-    first, last = np.searchsorted(edges * sigma_tp, (NEAREST_MFP, FARTHEST_MFP))
-    rings = slice(int(first), int(last) - 1)
-    across, around = (np.stack([part(light)[rings] for light in lights]) for part in (_across, _around))
-    mean = around.mean(axis=0)
+def camera_lights(
+    medium: SampleMedium, angles_deg: Sequence[float], seeds: Iterable[int], photons: int
+) -> list[CameraLight]:
+    """The light towards each angle, by seed."""
+    sigma_s = medium.sigma_sp / (1 - medium.g)
+    sigma_t, sigma_tp = sigma_s + medium.sigma_a, medium.sigma_sp + medium.sigma_a
+    edges_mm = np.geomspace(NEAREST_MFP, FARTHEST_MFP, RINGS + 1) / sigma_tp
+    cosines = np.cos(np.radians(angles_deg))
+    per_e_fold = RINGS / np.log(FARTHEST_MFP / NEAREST_MFP)
+    walk = partial(
+        _walked, photons, (sigma_s / sigma_t, medium.g, medium.eta, cosines), edges_mm[0] * sigma_t, per_e_fold
+    )
+    with ThreadPoolExecutor() as pool:
+        across, around, total = (np.stack(each, axis=1) for each in zip(*pool.map(walk, seeds), strict=True))
+    flux = np.pi * float(transmittance(medium.eta, np.array(1.0))) / photons
+    per_area = flux / (np.pi * np.diff(edges_mm**2))
+    return [
+        _lit(CameraLight(medium, angle, edges_mm, a[:, 1:] * per_area, b[:, 1:] * per_area, flux * t))
+        for angle, a, b, t in zip(angles_deg, across, around, total, strict=True)
+    ]
+
+
+def _walked(
+    photons: int, medium: tuple[float, float, float, Floats], r_first: float, per_e_fold: float, seed: int
+) -> tuple[Floats, Floats, Floats]:
+    """Scores of one seed: (angles, rings) twice, and (angles,)."""
+    [state] = stream_states(seed, 1)
+    across, around = (np.zeros((medium[-1].size, RINGS + 1)) for _ in range(2))
+    total = np.zeros(medium[-1].size)
+    camera_walk(photons, state, *medium, r_first, per_e_fold, across, around, total)
+    return across, around, total
+
+
+def _lit(light: CameraLight) -> CameraLight:
+    """Without the rings that are too faint."""
+    mean = light.around.mean(axis=0)
     bright = int(np.argmax(np.append(mean < FAINTEST * mean[0], True)))
     return CameraLight(
-        medium,
-        view_angle_deg,
-        edges[rings.start : rings.start + bright + 1],
-        across[:, :bright],
-        around[:, :bright],
-        np.array([light.total for light in lights]),
+        light.medium,
+        light.view_angle_deg,
+        light.r_edges_mm[: bright + 1],
+        light.across[:, :bright],
+        light.around[:, :bright],
+        light.total,
     )
 
 
@@ -82,7 +126,7 @@ def camera_slices(light: CameraLight, noise: float, total_noise: float, seed: in
     pieces = []
     for across, total in zip(light.across, light.total, strict=True):
         noisy = across * (1 + noise * rng.standard_normal(across.size))
-        part = ChannelSlice((lo + hi) / 2, noisy, np.hypot(noise, walk) * across, lo, hi)
+        part = ChannelSlice((lo + hi) / 2, noisy, np.hypot(noise, walk) * light.across.mean(axis=0), lo, hi)
         pieces.append(
             Slice(
                 channels={"G": part},
@@ -98,16 +142,66 @@ def camera_slices(light: CameraLight, noise: float, total_noise: float, seed: in
     return pieces
 
 
-def _around(light: SeenLight) -> Floats:
-    """Means over rings and azimuths; light scattered once lies on the line towards the camera, and counts in them."""
-    line = 0.0 if light.line_beyond is None else light.line_beyond
-    return np.asarray(-np.diff(light.beyond + line) / (np.pi * np.diff(light.r_edges_mm**2)))
+class CameraScore(NamedTuple):
+    """What the fits of one medium and angle come to; pairs are (σs′, σa)."""
+
+    name: str
+    angle_deg: float
+    inside: tuple[int, int]
+    """95 % intervals that hold the truth."""
+    fits: int
+    z: tuple[float, float]
+    """The largest distance from the truth in standard deviations."""
+    rel_sd: tuple[float, float]
+    """Median."""
+    exit_law: tuple[float, float]
+    """The exit law's median share of the variance."""
 
 
-def _across(light: SeenLight) -> Floats:
-    """Means over rings at a right angle to the plane of view, where no light scattered once leaves."""
-    multiple = -np.diff(light.beyond) / (np.pi * np.diff(light.r_edges_mm**2))
-    if light.harmonics is None:
-        return np.asarray(multiple)
-    order = np.arange(1, len(light.harmonics) + 1)
-    return np.asarray(multiple * (1 + np.cos(order * np.pi / 2) @ light.harmonics))
+def held(name: str, light: CameraLight, fits: Sequence[ChannelFit]) -> CameraScore:
+    """How often, and how nearly, the intervals hold what made the light."""
+    inside, furthest, rel_sd, exit_law = zip(*(_held_of(key, light, fits) for key in KEYS), strict=True)
+    return CameraScore(name, light.view_angle_deg, inside, len(fits), furthest, rel_sd, exit_law)
+
+
+def _held_of(key: str, light: CameraLight, fits: Sequence[ChannelFit]) -> tuple[int, float, float, float]:
+    ends = np.log([getattr(fit, f"{key}_interval95_per_mm") for fit in fits])
+    sd = (ends[:, 1] - ends[:, 0]) / (2 * 1.96)
+    z = np.abs(ends.mean(axis=1) - np.log(getattr(light.medium, key))) / sd
+    shares = [fit.budget[key].get("exit_law", 0.0) for fit in fits]
+    return int((z <= 1.96).sum()), float(z.max()), float(np.median(sd)), float(np.median(shares))
+
+
+def table(outcomes: Sequence[CameraScore]) -> str:
+    """A line for each medium and angle, and what they come to, as Markdown."""
+    lines = [
+        "| medium | view | hold σs′, σa | furthest, sd | sd σs′, σa | exit law |",
+        "|---|---:|---:|---:|---:|---:|",
+    ]
+    lines += [
+        f"| {o.name} | {o.angle_deg:g}° | {o.inside[0]}, {o.inside[1]} of {o.fits} | {o.z[0]:.1f}, {o.z[1]:.1f} "
+        f"| {100 * o.rel_sd[0]:.2f}, {100 * o.rel_sd[1]:.2f} % | {o.exit_law[0]:.2f}, {o.exit_law[1]:.2f} |"
+        for o in outcomes
+    ]
+    fits = sum(o.fits for o in outcomes)
+    for k, symbol in enumerate(("σs′", "σa")):
+        inside, furthest = sum(o.inside[k] for o in outcomes), max(o.z[k] for o in outcomes)
+        lines.append(f"\n{symbol}: {inside} of {fits} intervals hold, the furthest is {furthest:.1f} sd off")
+    return "\n".join(lines)
+
+
+def main() -> None:
+    """Walk, fit and print."""
+    outcomes = []
+    for number, (name, tried) in enumerate(MEDIA.items()):
+        print(f"{name}: {SEEDS} x {tried.photons} photons", file=sys.stderr)
+        seeds = range(1000 * number, 1000 * number + SEEDS)
+        for light in camera_lights(tried.medium, ANGLES_DEG, seeds, tried.photons):
+            pieces = camera_slices(light, NOISE, TOTAL_NOISE, seed=number)
+            fits = [fit["G"] for fit in fit_slices(pieces, FitOptions(model="mc"))]
+            outcomes.append(held(name, light, fits))
+    print(table(outcomes))
+
+
+if __name__ == "__main__":
+    main()

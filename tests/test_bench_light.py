@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
-from bssrdf.bench.camera_light import MEDIA, camera_light, camera_slices
+from bssrdf.bench.camera_light import MEDIA, camera_lights, camera_slices
 from bssrdf.bench.trial_light import batches, cells
-from bssrdf.rig.sim import light as sim_light
 from bssrdf.transport.discrete_ordinates import half_space
 from bssrdf.transport.exit_radiance import transmittance
 
@@ -26,10 +25,8 @@ def test_batches_of_a_cell_are_independent_lights_of_it():
 
 
 @pytest.fixture(scope="module")
-def light(tmp_path_factory):
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(sim_light.platformdirs, "user_cache_path", lambda _: tmp_path_factory.mktemp("cache"))
-        return camera_light(MEDIA["Ketchup R"], 45.0, range(1, 4), photons=40_000)
+def light():
+    return camera_lights(MEDIA["Ketchup R"].medium, (45.0,), range(1, 4), photons=40_000)[0]
 
 
 def test_a_camera_sees_the_total_of_discrete_ordinates(light):
