@@ -11,6 +11,7 @@ if TYPE_CHECKING:
     from bssrdf.measure.calibrate import radius_on_target as radius_on_target
     from bssrdf.measure.hdr import DarkPaired as DarkPaired
     from bssrdf.measure.hdr import Hdr as Hdr
+    from bssrdf.measure.hdr import Planes as Planes
     from bssrdf.measure.hdr import Progress as Progress
     from bssrdf.measure.hdr import Shot as Shot
     from bssrdf.measure.hdr import merge as merge

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from typing import Any
 
 import cv2
 import numpy as np
 
-from bssrdf.measure.hdr import HOT, NO_DATA, SATURATED
+from bssrdf.measure.hdr import HOT, NO_DATA, SATURATED, Hdr
 from bssrdf.measure.image import Image
 from bssrdf.measure.pixels import mosaic_period
 
@@ -22,11 +23,11 @@ _HALO_PX = 3
 
 def without_glints(image: Image) -> tuple[Image, int]:
     """The image with its glints left out, and how many pixels of them are saturated; itself where there is none."""
+    if not 0 < image.summary.n_saturated <= _MOST_SHARE * math.prod(image.hdr.shape[:2]):
+        return image, 0
     mask = image.hdr.mask
     saturated = (mask & (SATURATED | HOT)) == SATURATED
     flat = saturated.any(axis=2) if saturated.ndim == 3 else saturated
-    if not 0 < np.count_nonzero(flat) <= _MOST_SHARE * flat.size:
-        return image, 0
     reach = _HALO_PX * mosaic_period(image.layout)
     pixels: Any = flat.astype(np.uint8)
     _, pieces = cv2.connectedComponents(cv2.dilate(pixels, np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)))
@@ -38,4 +39,5 @@ def without_glints(image: Image) -> tuple[Image, int]:
         return image, 0
     glint_or_channel = glint[..., None] if mask.ndim == 3 else glint
     left_out = np.where(glint_or_channel, (mask | NO_DATA) & np.uint8(0xFF ^ SATURATED), mask)
-    return replace(image, hdr=replace(image.hdr, mask=left_out)), int(np.count_nonzero(flat & glint))
+    hdr = Hdr(image.hdr.radiance, image.hdr.variance, image.hdr.count, left_out)
+    return replace(image, hdr=hdr, known=None), int(np.count_nonzero(flat & glint))

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from bssrdf.calib import BEND_PIVOT, Sensor
 from bssrdf.errors import InputError
-from bssrdf.measure.accumulate import add_light, add_variance, add_weighted
+from bssrdf.measure.accumulate import Readout, SampleNoise, add_light, add_variance, add_weighted
 
 Plane = NDArray[np.float32]
 Bits = NDArray[np.uint8]
@@ -57,6 +57,39 @@ class Shot:
     load: Callable[[], DarkPaired]
 
 
+class Pixels(NamedTuple):
+    """Some pixels of a merged image: equal shapes."""
+
+    radiance: Plane
+    variance: Plane
+    mask: Bits
+
+    def at(self, where: Any) -> Pixels:
+        """Those that an index picks."""
+        return Pixels(self.radiance[where], self.variance[where], self.mask[where])
+
+    @property
+    def good(self) -> NDArray[np.bool_]:
+        """Those that hold a number that can be used."""
+        return np.asarray((self.mask == 0) & np.isfinite(self.radiance))
+
+
+class Planes(Protocol):
+    """A merged image, in memory as `Hdr`, or in a file."""
+
+    @property
+    def radiance(self) -> Plane: ...
+    @property
+    def variance(self) -> Plane: ...
+    @property
+    def count(self) -> Counts: ...
+    @property
+    def mask(self) -> Bits: ...
+    @property
+    def shape(self) -> tuple[int, ...]: ...
+    def rows(self, low: int, high: int) -> Pixels: ...
+
+
 @dataclass(frozen=True)
 class Hdr:
     """A merged image: `radiance` and its `variance` in DN/s, `count` of samples used, `mask` bits; equal shapes."""
@@ -65,6 +98,15 @@ class Hdr:
     variance: Plane
     count: Counts
     mask: Bits
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """(h, w), or (h, w, 3)."""
+        return self.radiance.shape
+
+    def rows(self, low: int, high: int) -> Pixels:
+        """The pixels of some rows."""
+        return Pixels(self.radiance, self.variance, self.mask).at(slice(low, high))
 
     def n_missing(self) -> int:
         """Pixels that hold no data, those that saturate left out."""
@@ -152,7 +194,7 @@ def _poisson_sum(
             signal, seconds = np.zeros(raw.shape, np.float32), np.zeros(raw.shape, np.float32)
             count = np.zeros(raw.shape, np.uint16)
         planes = _rows(signal), _rows(seconds), _rows(count)
-        add_light(_rows(raw), _rows(dark), *_response(sensor, raw), np.float32(shot.exposure_s), *planes)
+        add_light(_rows(raw), _rows(dark), _response(sensor, raw), np.float32(shot.exposure_s), *planes)
         if raw.dtype.kind == "f" and (unknown := np.isnan(raw)).any():
             missing = unknown if missing is None else missing | unknown
     if signal is None or seconds is None or count is None:
@@ -165,16 +207,14 @@ def _rows(plane: NDArray[Any]) -> NDArray[Any]:
     return plane.reshape(len(plane), -1)
 
 
-def _response(sensor: Sensor, raw: NDArray[Any]) -> tuple[NDArray[np.float32], np.float32, np.float32]:
-    """Rows of saturation [DN], the bend a DN and the signal where it does nothing."""
+def _response(sensor: Sensor, raw: NDArray[Any]) -> Readout:
     pivot = np.float32(BEND_PIVOT * sensor.span_dn()) if sensor.bend else np.float32(0)
-    return sensor.saturation_rows(raw.shape), np.float32(sensor.bend_per_dn()), pivot
+    return Readout(sensor.saturation_rows(raw.shape), np.float32(sensor.bend_per_dn()), pivot)
 
 
-def _noise(shot: Shot, sample: DarkPaired, sensor: Sensor, model_rel_sd: float) -> list[Any]:
-    """Exposure time [s], variance of darkness [DN²], gain, and variance of the model relative to the light squared."""
+def _noise(shot: Shot, sample: DarkPaired, sensor: Sensor, model_rel_sd: float) -> SampleNoise:
     values = (shot.exposure_s, _darkness_variance(sample, sensor), sensor.gain_e_per_dn, model_rel_sd**2)
-    return [np.float32(value) for value in values]
+    return SampleNoise(*(np.float32(value) for value in values))
 
 
 def _reweighted_sum(
@@ -185,7 +225,7 @@ def _reweighted_sum(
     planes = _rows(expected), _rows(weighted), _rows(weight)
     for shot, sample in samples:
         noise = _noise(shot, sample, sensor, model_rel_sd)
-        add_weighted(_rows(sample.raw), _rows(sample.dark), *_response(sensor, sample.raw), *noise, *planes)
+        add_weighted(_rows(sample.raw), _rows(sample.dark), _response(sensor, sample.raw), noise, *planes)
     with np.errstate(divide="ignore", invalid="ignore"):
         weighted /= weight
         np.divide(1, weight, out=weight)
@@ -201,8 +241,7 @@ def _poisson_variance(
     expected = np.maximum(np.nan_to_num(radiance), 0)
     for shot, sample in samples:
         noise = _noise(shot, sample, sensor, model_rel_sd)
-        rows = sensor.saturation_rows(sample.raw.shape)
-        add_variance(_rows(sample.raw), rows, *noise, _rows(expected), _rows(variance))
+        add_variance(_rows(sample.raw), _response(sensor, sample.raw), noise, _rows(expected), _rows(variance))
     with np.errstate(divide="ignore", invalid="ignore"):
         variance /= seconds**2
     return variance

@@ -5,21 +5,19 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from bssrdf.calib import Spot, Surface, find_spot, radius_on_tile
 from bssrdf.errors import InputError
-from bssrdf.measure.hdr import HOT, SATURATED, Hdr
+from bssrdf.measure.hdr import Planes
 from bssrdf.measure.pixels import grids_of, mosaic_period
 from bssrdf.measure.pyramid import Blocks, Pyramid
+from bssrdf.measure.summary import GridSummary, Summary, overview_side, summary_of
 from bssrdf.measure.tail import Estimate
 from bssrdf.session.records import Array
 
 _OUTLINE_STEPS = 200
-_OVERVIEW_PIXELS = 100_000
-"""Of the small image in which spots are looked for."""
 _SPOT_SD_PX = 3.0
 _WINDOW = 60
 """Half width, in pixels of a colour, in which a spot's shape is found: wider spots by blocks of as many pixels."""
@@ -41,16 +39,36 @@ class Image:
 
     name: str
     """How to call it in an error."""
-    hdr: Hdr
+    hdr: Planes
     layout: str
     channels: tuple[str, ...]
     """Those to be used."""
     surface: Surface
+    known: Summary | None = None
+    """Of the image, where it was stored."""
+
+    @cached_property
+    def summary(self) -> Summary:
+        """What the image tells without its pixels."""
+        places = {grid.place for channel in self.channels for grid in grids_of(self.hdr, self.layout, channel)}
+        if self.known is not None and places <= self.known.grids.keys():
+            return self.known
+        return summary_of(self.hdr, self.layout, self.channels)
+
+    def grid_summaries(self, channel: str) -> tuple[GridSummary, ...]:
+        """Of the grids of a channel."""
+        return tuple(self.summary.grids[grid.place] for grid in grids_of(self.hdr, self.layout, channel))
 
     @cached_property
     def pyramids(self) -> dict[str, tuple[Pyramid, ...]]:
         """The pixels of each channel that is used."""
-        return {channel: tuple(map(Pyramid, grids_of(self.hdr, self.layout, channel))) for channel in self.channels}
+        return {
+            channel: tuple(
+                Pyramid(grid, self.summary.grids[grid.place].levels)
+                for grid in grids_of(self.hdr, self.layout, channel)
+            )
+            for channel in self.channels
+        }
 
     @cached_property
     def px_per_sample(self) -> dict[str, float]:
@@ -60,14 +78,7 @@ class Image:
     @cached_property
     def overview(self) -> tuple[NDArray[np.float32], int]:
         """Mean of the channels around each point of a smaller image, bad pixels black, and its pixels' side [px]."""
-        period = mosaic_period(self.layout)
-        good = np.where((self.hdr.mask == 0) & np.isfinite(self.hdr.radiance), self.hdr.radiance, np.float32(0))
-        height, width = good.shape[:2]
-        side = period * max(1, int(np.sqrt(height * width / _OVERVIEW_PIXELS) / period))
-        rows, columns = max(1, height // side), max(1, width // side)
-        small = cv2.resize(good[: rows * side, : columns * side], (columns, rows), interpolation=cv2.INTER_AREA)
-        small = small if small.ndim == 2 else small.mean(axis=2)
-        return np.asarray(cv2.blur(small, (3, 3), borderType=cv2.BORDER_REPLICATE), np.float32), side
+        return self.summary.overview, overview_side(self.hdr.shape, self.layout)
 
     @cached_property
     def spot(self) -> Spot:
@@ -82,21 +93,20 @@ class Image:
         """
         if len(self.layout) != 4 or self.layout.count("G") != 2 or self.layout.count(channel) != 1:
             return 0.0
-        first, second = grids_of(self.hdr, self.layout, "G")
+        first, _ = grids_of(self.hdr, self.layout, "G")
         (own,) = grids_of(self.hdr, self.layout, channel)
         along = 1 if self.surface.geometry.view_axis == "y" else 0
         sign = 1.0 if own.first_px[along] == first.first_px[along] else -1.0
-        one, two = (float(grid.radiance.sum(dtype=float, where=grid.mask == 0)) for grid in (first, second))
+        one, two = (float(green.light_by_count.sum()) for green in self.grid_summaries("G"))
         return sign * (one - two) / max(one + two, 1e-300)
 
     def is_saturated(self, channel: str) -> bool:
         """Whether some pixel of the channel is saturated in every exposure, hot ones left out."""
-        masks = [pyramid.grid.mask for pyramid in self.pyramids[channel]]
-        return any(bool(((mask & (SATURATED | HOT)) == SATURATED).any()) for mask in masks)
+        return any(grid.n_saturated > 0 for grid in self.grid_summaries(channel))
 
     def outline(self, spot: Spot) -> tuple[Array, Array]:
         """The edge of the frame on the surface, (across, along) from the spot, once round."""
-        height, width = self.hdr.radiance.shape[:2]
+        height, width = self.hdr.shape[:2]
         way = np.linspace(0, 1, _OUTLINE_STEPS, endpoint=False)
         right, down = way * width - 0.5, way * height - 0.5
         x = np.concatenate([right, np.full_like(way, width - 0.5), right[::-1], np.full_like(way, -0.5), [-0.5]])
@@ -121,7 +131,7 @@ def _located(image: Image) -> Spot:
     row, column = np.unravel_index(int(np.argmax(small)), small.shape)
     period = mosaic_period(image.layout)
     x_px, y_px = ((place + 0.5) * side - 0.5 for place in (float(column), float(row)))
-    height, width = image.hdr.radiance.shape[:2]
+    height, width = image.hdr.shape[:2]
     if min(x_px, y_px, width - 1 - x_px, height - 1 - y_px) < 2 * period:
         raise InputError(
             f"{image.name}: the brightest point ({x_px:.0f}, {y_px:.0f}) lies on the edge of the frame; "

@@ -7,8 +7,8 @@ tool are linear, of unknown exposure and noise.
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
 from hashlib import sha256
 from pathlib import Path
 from typing import Any
@@ -19,10 +19,12 @@ from numpy.typing import NDArray
 
 from bssrdf.calib import Exposures, pile_up_dn
 from bssrdf.errors import InputError
-from bssrdf.measure.hdr import NO_DATA, SATURATED, Hdr, Plane
+from bssrdf.measure.hdr import NO_DATA, SATURATED, Hdr, Plane, Planes
 from bssrdf.measure.pixels import mosaic_period, places
+from bssrdf.measure.stored import StoredHdr
+from bssrdf.measure.summary import Summary, read_summary, write_summary
 from bssrdf.measure.total_errors import Timing
-from bssrdf.session import from_plain, read_hdr_exr, read_linear_image, to_plain, write_hdr_exr
+from bssrdf.session import OUR_PARTS, from_plain, read_linear_image, to_plain, write_hdr_exr
 from bssrdf.session.records import Camera, Frame, Session
 
 _TOLD = "told"
@@ -55,14 +57,23 @@ class Told:
 class Merged:
     """The images by kind, what merging told, and where it comes from."""
 
-    images: dict[str, Hdr]
+    images: dict[str, Planes]
     told: Told
     provenance: dict[str, Any]
+    summaries: dict[str, Summary] = field(default_factory=dict)
+    """Of the images that were read, as far as they are known."""
 
     def write(self, folder: Path) -> None:
         """Write each image with all of this into `folder`."""
         for kind, hdr in self.images.items():
-            write_hdr_exr(folder / f"{kind}.exr", vars(hdr), {**self.provenance, _TOLD: to_plain(self.told)})
+            parts = {part: getattr(hdr, part) for part in OUR_PARTS}
+            write_hdr_exr(folder / f"{kind}.exr", parts, {**self.provenance, _TOLD: to_plain(self.told)})
+
+
+def write_summaries(folder: Path, summaries: Mapping[str, Summary]) -> None:
+    """Write beside each image what it tells without its pixels."""
+    for kind, summary in summaries.items():
+        write_summary(folder / f"{kind}.npz", summary, folder / f"{kind}.exr")
 
 
 def inputs_of(session: Session, frames: Sequence[Frame]) -> str:
@@ -74,11 +85,11 @@ def inputs_of(session: Session, frames: Sequence[Frame]) -> str:
 
 def read_merged(session: Session, frames: Sequence[Frame], kinds: Sequence[str]) -> Merged:
     """What an earlier `measure` of the session wrote; InputError where it is not there, or of other frames."""
-    read = {kind: _read(session.path / "measured" / f"{kind}.exr") for kind in kinds}
-    path = session.path / "measured" / f"{kinds[0]}.exr"
-    provenance = read[kinds[0]][1]
+    paths = {kind: session.path / "measured" / f"{kind}.exr" for kind in kinds}
+    read = {kind: _read(path) for kind, path in paths.items()}
+    path, provenance = paths[kinds[0]], dict(read[kinds[0]].provenance)
     for kind in kinds:
-        if read[kind][1] != provenance:
+        if read[kind].provenance != provenance:
             raise _stale(session.path / "measured" / f"{kind}.exr", f"comes from another run than {path.name}")
     try:
         told = from_plain(Told, provenance.pop(_TOLD))
@@ -90,23 +101,18 @@ def read_merged(session: Session, frames: Sequence[Frame], kinds: Sequence[str])
     for frame in frames:
         if frame.sha256 is not None and frame.sha256 != hashes.get(frame.file):
             raise _stale(path, f"was made from another {frame.file}")
-    return Merged({kind: hdr for kind, (hdr, _) in read.items()}, told, provenance)
+    known = {kind: read_summary(path.with_suffix(".npz"), path) for kind, path in paths.items()}
+    return Merged(dict(read), told, provenance, {kind: summary for kind, summary in known.items() if summary})
 
 
 def _stale(path: Path, reason: str) -> StaleImages:
     return StaleImages(f"{path}: {reason}; run `bssrdf measure` without --from-hdr")
 
 
-def _read(path: Path) -> tuple[Hdr, dict[str, Any]]:
+def _read(path: Path) -> StoredHdr:
     if not path.is_file():
         raise _stale(path, "is not there")
-    parts, provenance = read_hdr_exr(path)
-    return Hdr(parts["radiance"], parts["variance"], _bits(parts["count"]), _bits(parts["mask"])), provenance
-
-
-def _bits(plane: NDArray[np.float32]) -> NDArray[Any]:
-    """Small whole numbers, as they were before they were written as floats."""
-    return plane.astype(np.uint8 if plane.max(initial=0) < 2**8 else np.uint16)
+    return StoredHdr(path)
 
 
 def read_elsewhere(

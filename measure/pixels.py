@@ -7,28 +7,76 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from bssrdf.measure.hdr import Hdr, Plane
+from bssrdf.measure.hdr import Bits, Counts, Pixels, Plane, Planes
 from bssrdf.session.records import Beam
 
 
 @dataclass(frozen=True)
 class Grid:
-    """Pixels of one channel on a regular grid, as views of a merged image: shape (rows, columns).
+    """Pixels of one channel on a regular grid of a merged image, of shape (rows, columns).
 
     A colour that a mosaic has twice, such as green, is two grids.
     """
 
-    radiance: Plane
-    """[DN/s]"""
-    variance: Plane
-    count: NDArray[Any]
-    """Samples that were merged."""
-    mask: NDArray[Any]
-    """0 for a good pixel."""
+    image: Planes
+    channel: int | None
+    """Of an RGB image."""
     first_px: tuple[int, int]
     """(x, y) of the first."""
     step_px: int
     """From one pixel to the next."""
+
+    @property
+    def place(self) -> int:
+        """Which one of the image's grids this is."""
+        return self.first_px[1] * self.step_px + self.first_px[0] if self.channel is None else self.channel
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        rows, columns = (
+            -(-(size - first) // self.step_px)
+            for size, first in zip(self.image.shape[:2], self.first_px[::-1], strict=True)
+        )
+        return rows, columns
+
+    @property
+    def radiance(self) -> Plane:
+        """[DN/s]"""
+        return self._of(self.image.radiance)
+
+    @property
+    def variance(self) -> Plane:
+        return self._of(self.image.variance)
+
+    @property
+    def count(self) -> Counts:
+        """Samples that were merged."""
+        return self._of(self.image.count)
+
+    @property
+    def mask(self) -> Bits:
+        """0 for a good pixel."""
+        return self._of(self.image.mask)
+
+    def strip(self, low: int, high: int) -> Pixels:
+        """Rows of the grid."""
+        first = self.first_px[1]
+        rows = self.image.rows(first + self.step_px * low, first + self.step_px * (high - 1) + 1)
+        return rows.at((slice(None, None, self.step_px), *self._columns))
+
+    def at(self, rows: Any, columns: Any) -> Pixels:
+        """The pixels at these places in the grid, arrays of one shape."""
+        low, high = (int(rows.min()), int(rows.max()) + 1) if rows.size else (0, 1)
+        return self.strip(low, high).at((rows - low, columns))
+
+    @property
+    def _columns(self) -> tuple[Any, ...]:
+        columns = slice(self.first_px[0], None, self.step_px)
+        return (columns,) if self.channel is None else (columns, self.channel)
+
+    def _of(self, plane: NDArray[Any]) -> NDArray[Any]:
+        where: Any = (slice(self.first_px[1], None, self.step_px), *self._columns)
+        return plane[where]
 
 
 def channel_names(layout: str, beam: Beam) -> tuple[str, ...]:
@@ -52,15 +100,9 @@ def places(shape: tuple[int, ...], period: int) -> list[tuple[slice | int, ...]]
     return [(rows, columns) for rows in steps for columns in steps]
 
 
-def grids_of(hdr: Hdr, layout: str, name: str) -> tuple[Grid, ...]:
+def grids_of(image: Planes, layout: str, name: str) -> tuple[Grid, ...]:
     """The pixels that carry the channel `name`."""
-    if layout == "mono":
-        return (_grid(hdr, ..., (0, 0), 1),)
-    if layout == "rgb":
-        return (_grid(hdr, (..., "RGB".index(name)), (0, 0), 1),)
+    if layout in ("mono", "rgb"):
+        return (Grid(image, "RGB".index(name) if layout == "rgb" else None, (0, 0), 1),)
     corners = [divmod(place, 2) for place, letter in enumerate(layout) if letter == name]
-    return tuple(_grid(hdr, (slice(row, None, 2), slice(column, None, 2)), (column, row), 2) for row, column in corners)
-
-
-def _grid(hdr: Hdr, where: Any, first_px: tuple[int, int], step_px: int) -> Grid:
-    return Grid(hdr.radiance[where], hdr.variance[where], hdr.count[where], hdr.mask[where], first_px, step_px)
+    return tuple(Grid(image, None, (column, row), 2) for row, column in corners)

@@ -83,7 +83,7 @@ def write_scene_png(path: Path, session: Session, images: Mapping[str, Image], c
 
 def _panel(kind: str, image: Image, marks: Marks, white: Mapping[str, float]) -> NDArray[np.uint8]:
     """One image, BGR, with its marks and what they are called."""
-    height, width = image.hdr.radiance.shape[:2]
+    height, width = image.hdr.shape[:2]
     scale = _PANEL_PX / width
     size = (_PANEL_PX, round(height * scale))
     shown = cv2.resize(np.ascontiguousarray(picture(image, white)[..., ::-1]), size, interpolation=cv2.INTER_LINEAR)

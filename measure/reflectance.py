@@ -157,7 +157,7 @@ def rounded(total: TotalReflectance, hidden: float, image: Image, spot: Spot) ->
 
 def light_by_count(image: Image, channel: str) -> Array:
     """Light of the channel's good pixels by the number of samples that were merged for each."""
-    parts = [pyramid.light_by_count for pyramid in image.pyramids[channel]]
+    parts = [grid.light_by_count for grid in image.grid_summaries(channel)]
     longest = max(map(len, parts))
     return np.asarray(sum(np.pad(part, (0, longest - len(part))) for part in parts))
 

@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from bssrdf.calib import Spot, Surface
-from bssrdf.measure.hdr import SATURATED
 from bssrdf.measure.image import Image, beam_on_sample
-from bssrdf.measure.pixels import grids_of, mosaic_period
+from bssrdf.measure.pixels import grids_of
 from bssrdf.session.records import Array, Session, Slice
 
 Points = NDArray[np.float64]
@@ -25,8 +24,6 @@ _ISOPHOTE_SHARE = 0.4
 """Of the slice's reach: far enough out to be seen, near enough to lie in the frame."""
 _SHOWN_DECADES = 4.0
 """Of light that a picture spans from white to black: beyond is mostly noise."""
-_DISPLAY_PX = 900
-"""Width of a picture to look at."""
 
 
 @dataclass(frozen=True)
@@ -85,7 +82,6 @@ def _marks(image: Image, spot: Spot, centre: Spot, curve: Slice | None, aspect: 
     radius = _ISOPHOTE_SHARE * max(reach) if max(reach) > 0 else 3 * image.footprint(spot)[0] * long
     if aspect is not None:
         isophote = on_image(surface, where, radius * np.cos(turn), radius * aspect * np.sin(turn))
-    grids = {channel: grids_of(image.hdr, image.layout, channel) for channel in image.channels}
     return Marks(
         ellipse,
         where,
@@ -93,8 +89,11 @@ def _marks(image: Image, spot: Spot, centre: Spot, curve: Slice | None, aspect: 
         band,
         isophote,
         float(radius),
-        {name: sum(int(np.count_nonzero(each.mask & SATURATED)) for each in parts) for name, parts in grids.items()},
-        {name: sum(each.mask.size for each in parts) for name, parts in grids.items()},
+        {name: sum(grid.n_saturated for grid in image.grid_summaries(name)) for name in image.channels},
+        {
+            name: sum(math.prod(grid.shape) for grid in grids_of(image.hdr, image.layout, name))
+            for name in image.channels
+        },
     )
 
 
@@ -140,39 +139,18 @@ def picture(image: Image, white: Mapping[str, float]) -> NDArray[np.uint8]:
 
 def saturation_map(image: Image) -> NDArray[np.bool_]:
     """Which points of `picture` hold a pixel that is saturated in every exposure, in any channel."""
-    parts = [
-        _reduced((grid.mask & SATURATED != 0).astype(np.float32), image, cv2.INTER_AREA) > 0
-        for channel in image.channels
-        for grid in grids_of(image.hdr, image.layout, channel)
-    ]
+    parts = [grid.clipped for channel in image.channels for grid in image.grid_summaries(channel)]
     return np.asarray(np.any(parts, axis=0))
 
 
 def light_of(image: Image) -> dict[str, float]:
     """Sum of the good pixels' light by channel: of a reference, what makes white."""
     return {
-        channel: float(
-            sum(np.where(grid.mask == 0, np.nan_to_num(grid.radiance), 0).sum(dtype=float)
-                for grid in grids_of(image.hdr, image.layout, channel))
-            / len(grids_of(image.hdr, image.layout, channel))
-        )
+        channel: float(np.mean([grid.light_by_count.sum() for grid in image.grid_summaries(channel)]))
         for channel in image.channels
-    }  # fmt: skip
+    }
 
 
 def _small(image: Image, channel: str) -> NDArray[np.float32]:
-    """One channel, its colours averaged over a cell, at display size; saturated pixels as bright as any."""
-    planes = []
-    for grid in grids_of(image.hdr, image.layout, channel):
-        light = np.nan_to_num(grid.radiance)
-        top = light.max(initial=0.0, where=grid.mask == 0)
-        planes.append(_reduced(np.where(grid.mask & SATURATED, top, light).astype(np.float32), image, cv2.INTER_AREA))
-    return np.asarray(np.mean(planes, axis=0), np.float32)
-
-
-def _reduced(plane: NDArray[np.float32], image: Image, how: int) -> NDArray[np.float32]:
-    height, width = image.hdr.radiance.shape[:2]
-    period = mosaic_period(image.layout)
-    share = min(1.0, _DISPLAY_PX / width) if period == 1 else min(1 / period, _DISPLAY_PX / width)
-    size = (max(1, round(width * share)), max(1, round(height * share)))
-    return np.asarray(cv2.resize(plane, size, interpolation=how), np.float32)
+    """One channel, its colours averaged over a cell, at display size."""
+    return np.asarray(np.mean([grid.display for grid in image.grid_summaries(channel)], axis=0), np.float32)

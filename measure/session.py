@@ -14,11 +14,11 @@ from bssrdf.errors import InputError
 from bssrdf.measure.bracket import Bracket, bracket_of, camera_of, layout_of, session_response
 from bssrdf.measure.colour_space import in_space
 from bssrdf.measure.frame_checks import warm_dark
-from bssrdf.measure.hdr import Hdr, Progress, flattened, merge
+from bssrdf.measure.hdr import Hdr, Planes, Progress, flattened, merge
 from bssrdf.measure.image import Image
 from bssrdf.measure.learn import Learnt, learn_camera
 from bssrdf.measure.levels import plain_corrections
-from bssrdf.measure.merged import Merged, Told, inputs_of, read_elsewhere, read_merged
+from bssrdf.measure.merged import Merged, Told, inputs_of, read_elsewhere, read_merged, write_summaries
 from bssrdf.measure.pixels import channel_names, mosaic_period
 from bssrdf.measure.plot import write_scene_png, write_slice_png
 from bssrdf.measure.slice import SliceOptions, measure_slice
@@ -44,7 +44,7 @@ _KINDS: tuple[FrameKind, ...] = ("sample", "reference")
 class Measured:
     """What was measured: the merged images by kind, and the slice unless only images were asked for."""
 
-    images: dict[str, Hdr]
+    images: dict[str, Planes]
     provenance: dict[str, Any]
     slice: Slice | None = None
 
@@ -92,10 +92,13 @@ def measure_session(
         curve = in_space(curve, session, space) if space else curve
     measured = Measured(merged.images, merged.provenance, curve)
     if from_hdr:
+        new = {kind: image.summary for kind, image in images.items() if image.summary is not image.known}
+        write_summaries(session.path / "measured", new)
         _write_curve(out or session.path / "measured", session, images, measured)
     else:
         with replace_folder(out or session.path / "measured") as folder:
             merged.write(folder)
+            write_summaries(folder, {kind: image.summary for kind, image in images.items()})
             _write_curve(folder, session, images, measured)
     return measured
 
@@ -139,7 +142,7 @@ def _merged(session: Session, listed: Sequence[Frame], hdr_rel_sd: float | None,
         tuple(flags),
         inputs,
     )
-    return Merged(images, told, _provenance(session, timing, learnt, hashes) | {"found": found})
+    return Merged(dict(images), told, _provenance(session, timing, learnt, hashes) | {"found": found})
 
 
 def _check_unit(path: Path, frames: Sequence[Frame]) -> None:
@@ -213,12 +216,13 @@ def _timing(bracket: Bracket, learnt: Learnt) -> Timing:
 
 def images_of(session: Session, merged: Merged) -> dict[str, Image]:
     """The merged images by kind, with the way they are read."""
-    return {kind: _image(kind, merged.images, merged.told.layouts[kind], session) for kind in merged.images}
+    return {kind: _image(kind, merged, session) for kind in merged.images}
 
 
-def _image(kind: str, images: Mapping[str, Hdr], layout: str, session: Session) -> Image:
+def _image(kind: str, merged: Merged, session: Session) -> Image:
     if session.geometry is None:
         raise InputError(f"{session.path / 'session.toml'}: has no [geometry]; add it, or measure with --hdr-only")
+    layout = merged.told.layouts[kind]
     channels = channel_names(layout, session.beam)
     for name in session.beam.channels or ():
         if name not in channels:
@@ -227,7 +231,8 @@ def _image(kind: str, images: Mapping[str, Hdr], layout: str, session: Session) 
                 f"{', '.join(channels)}; correct it"
             )
     used = tuple(name for name in channels if name in (session.beam.channels or channels))
-    return Image(kind, images[kind], layout, used, Surface(session.geometry, session.distortion))
+    surface = Surface(session.geometry, session.distortion)
+    return Image(kind, merged.images[kind], layout, used, surface, merged.summaries.get(kind))
 
 
 def _provenance(

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bssrdf.calib import Sensor
-from bssrdf.measure import Hdr, bracket_of, corrections_of, grids_of, read_ahead, straight
+from bssrdf.measure import Planes, bracket_of, corrections_of, grids_of, read_ahead, straight
 from bssrdf.session import dark_for, from_plain
 from bssrdf.session.records import Frame, Session
 
@@ -143,7 +143,7 @@ def _noise_of_prediction(expected: Floats, ratio: Floats, n_others: NDArray[np.i
 
 
 def merge_noise(
-    hdr: Hdr, layout: str, channel: str, seconds: Sequence[float], sensor: Sensor, n_darks: float
+    hdr: Planes, layout: str, channel: str, seconds: Sequence[float], sensor: Sensor, n_darks: float
 ) -> list[Decade]:
     """Noise by decade below the brightest pixel of a channel, beside the bound of its frames."""
     grid = grids_of(hdr, layout, channel)[0]

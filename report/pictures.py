@@ -72,7 +72,7 @@ def scenes_of(evidence: Evidence) -> Scenes | str:
 
 
 def _picture(kind: str, image: Image, marks: Marks, white: dict[str, float]) -> ScenePicture:
-    height, width = image.hdr.radiance.shape[:2]
+    height, width = image.hdr.shape[:2]
     shown, clipped = picture(image, white), saturation_map(image)
     mask = ""
     if clipped.any():

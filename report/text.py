@@ -91,7 +91,7 @@ def with_error(value: float, sd: float) -> str:
 
 def measured_text(measured: Measured) -> str:
     """The images made; with a slice, R and the extent of the curve by channel, and the flags."""
-    lines = [f"merged {kind}: {' × '.join(map(str, hdr.radiance.shape))}" for kind, hdr in measured.images.items()]
+    lines = [f"merged {kind}: {' × '.join(map(str, hdr.shape))}" for kind, hdr in measured.images.items()]
     if measured.slice is not None:
         for name, channel in measured.slice.channels.items():
             total = "no total reflectance, saturated"

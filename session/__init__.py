@@ -38,6 +38,8 @@ if TYPE_CHECKING:
     from bssrdf.session.frames_csv import read_frames as read_frames
     from bssrdf.session.frames_csv import recover_frames as recover_frames
     from bssrdf.session.frames_csv import write_frames as write_frames
+    from bssrdf.session.hdr_image import OUR_PARTS as OUR_PARTS
+    from bssrdf.session.hdr_image import HdrExr as HdrExr
     from bssrdf.session.hdr_image import is_ours as is_ours
     from bssrdf.session.hdr_image import read_hdr_exr as read_hdr_exr
     from bssrdf.session.hdr_image import write_hdr_exr as write_hdr_exr

@@ -168,22 +168,41 @@ def is_ours(path: Path) -> bool:
     return path.suffix.lower() == ".exr" and [image.name for image in read_images(path)] == list(OUR_PARTS)
 
 
+class HdrExr:
+    """An EXR that `bssrdf measure` wrote, whose rows are read when they are asked for."""
+
+    def __init__(self, path: Path) -> None:
+        """InputError where the file cannot be read or a part is missing."""
+        from bssrdf.session.oiio_file import ImageRows
+
+        self._images = ImageRows(path)
+        names = self._images.names
+        for name in OUR_PARTS:
+            if name not in names:
+                raise InputError(f"{path}: lacks the part {name}; run `bssrdf measure` again")
+        self._index = {name: names.index(name) for name in OUR_PARTS}
+        height, width, channels = self._images.shape(self._index[OUR_PARTS[0]])
+        self.shape: tuple[int, ...] = (height, width) if channels == 1 else (height, width, channels)
+        """(h, w), or (h, w, 3)."""
+        for name, index in self._index.items():
+            if self._images.shape(index)[:2] != (height, width):
+                raise InputError(f"{path}: the part {name} has another size; run `bssrdf measure` again")
+        try:
+            own = self._images.attributes[self._index[OUR_PARTS[0]]]
+            self.provenance: dict[str, Any] = json.loads(own.get(_PROVENANCE, "{}"))
+        except (TypeError, ValueError) as error:
+            raise InputError(f"{path}: its provenance is not JSON ({error}); run `bssrdf measure` again") from error
+
+    def rows(self, part: str, low: int, high: int) -> Plane:
+        """Rows of a part, (rows, w) or (rows, w, 3); InputError where they cannot be read."""
+        return _flat(self._images.read(self._index[part], low, high))
+
+
 def read_hdr_exr(path: Path) -> tuple[dict[str, Plane], dict[str, Any]]:
     """The parts by name, each (h, w) or (h, w, 3), and the provenance; InputError where a part is missing."""
-    from bssrdf.session.oiio_file import read_images
-
-    images = {image.name: image for image in read_images(path)}
-    for name in OUR_PARTS:
-        if name not in images:
-            raise InputError(f"{path}: lacks the part {name}; run `bssrdf measure` again")
-        if images[name].data.shape[:2] != images[OUR_PARTS[0]].data.shape[:2]:
-            raise InputError(f"{path}: the part {name} has another size; run `bssrdf measure` again")
-    try:
-        provenance = json.loads(images[OUR_PARTS[0]].attributes.get(_PROVENANCE, "{}"))
-    except (TypeError, ValueError) as error:
-        raise InputError(f"{path}: its provenance is not JSON ({error}); run `bssrdf measure` again") from error
-    return {name: _flat(images[name].data) for name in OUR_PARTS}, provenance
+    stored = HdrExr(path)
+    return {name: stored.rows(name, 0, stored.shape[0]) for name in OUR_PARTS}, stored.provenance
 
 
-def _flat(data: NDArray[Any]) -> Plane:
+def _flat(data: NDArray[Any]) -> NDArray[Any]:
     return data[:, :, 0] if data.shape[2] == 1 else data

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -51,18 +52,30 @@ def read_subimage(path: Path, index: int) -> NDArray[Any]:
 
 
 def _read_most(path: Path, most: int | None, first: int = 0) -> list[StoredImage]:
-    if not path.is_file():
-        raise InputError(f"{path}: is not there; check the path")
-    try:
+    with _no_text(path):
         return _read_open(path, most, first)
-    except UnicodeDecodeError as error:  # from a name, an attribute, or OpenImageIO's own message
+
+
+@contextmanager
+def _no_text(path: Path) -> Iterator[None]:
+    """InputError for a name, an attribute, or a message of OpenImageIO's own that is not text."""
+    try:
+        yield
+    except UnicodeDecodeError as error:
         raise _unreadable(path, "") from error
 
 
-def _read_open(path: Path, most: int | None, first: int) -> list[StoredImage]:
+def _opened(path: Path) -> Any:
+    if not path.is_file():
+        raise InputError(f"{path}: is not there; check the path")
     file = oiio.ImageInput.open(str(path))
     if file is None:
         raise _unreadable(path, oiio.geterror())
+    return file
+
+
+def _read_open(path: Path, most: int | None, first: int) -> list[StoredImage]:
+    file = _opened(path)
     try:
         images: list[StoredImage] = []
         while len(images) != most and file.seek_subimage(first + len(images), 0):
@@ -95,6 +108,42 @@ def _read(path: Path, file: Any) -> StoredImage:
     if file.format_name() == _PLACED:
         pixels = _in_display_window(path, spec, pixels)
     return StoredImage(pixels, tuple(spec.channelnames), attributes.get("oiio:subimagename", ""), attributes)
+
+
+class ImageRows:
+    """The images of a file by their name, whose rows are read when they are asked for."""
+
+    def __init__(self, path: Path) -> None:
+        """InputError where the file is not there or none of the kinds that can be read."""
+        self._path = path
+        self._specs: list[Any] = []
+        with _no_text(path):
+            self._file = _opened(path)
+            while self._file.seek_subimage(len(self._specs), 0):
+                self._specs.append(self._file.spec())
+            self.attributes = [_attributes(spec) for spec in self._specs]
+        self.names = [attributes.get("oiio:subimagename", "") for attributes in self.attributes]
+
+    def shape(self, index: int) -> tuple[int, int, int]:
+        """(h, w, channels) of an image, as it is shown."""
+        spec = self._specs[index]
+        return spec.full_height, spec.full_width, spec.nchannels
+
+    def read(self, index: int, low: int, high: int) -> NDArray[np.float32]:
+        """Rows of an image as floats, (rows, w, channels); InputError where they cannot be read."""
+        with _no_text(self._path):
+            return self._read(index, low, high)
+
+    def _read(self, index: int, low: int, high: int) -> NDArray[np.float32]:
+        spec, file = self._specs[index], self._file
+        placed = (spec.x - spec.full_x, spec.y - spec.full_y, spec.height, spec.width)
+        if placed != (0, 0, spec.full_height, spec.full_width) or spec.tile_width:
+            file.seek_subimage(index, 0)
+            return _read(self._path, file).data.astype(np.float32)[low:high]
+        data = file.read_scanlines(index, 0, spec.y + low, spec.y + high, 0, 0, spec.nchannels, "float")
+        if data is None or file.has_error:
+            raise _unreadable(self._path, file.geterror())
+        return np.asarray(data, np.float32).reshape(high - low, spec.width, spec.nchannels)
 
 
 def _in_display_window(path: Path, spec: Any, pixels: NDArray[Any]) -> NDArray[Any]:

@@ -51,6 +51,39 @@ def test_every_pixel_counts_once_wherever_the_beam_and_whatever_is_bad(height, w
             assert blocks.light.sum() == pytest.approx(grid.radiance[good].sum(dtype=float), rel=1e-5)
 
 
+def sums_one_by_one(grid, size):
+    """n, value, variance, light and good pixels of blocks, pair by pair: what stands out of four is left out."""
+    height, width = grid.shape
+    sums = np.zeros((5, -(-height // size), -(-width // size)))
+    for y, x in np.ndindex(-(-height // 2), -(-width // 2)):
+        at = (slice(2 * y, 2 * y + 2), slice(2 * x, 2 * x + 2))
+        good = (grid.mask[at] == 0) & np.isfinite(grid.radiance[at])
+        light, variance = grid.radiance[at][good].astype(float), grid.variance[at][good].astype(float)
+        kept = np.full(light.shape, True)
+        if light.size and np.any(np.abs(light - light.mean()) > 4 * np.sqrt(variance)):
+            off = np.abs(light - np.median(light))
+            kept = off <= 6 * np.fmax(np.sqrt(variance), 1.4826 * np.median(off))
+        own = (kept.sum(), light[kept].sum(), variance[kept].sum(), light.sum(), light.size)
+        sums[:, 2 * y // size, 2 * x // size] += own
+    return sums
+
+
+@pytest.mark.parametrize("shape", [(401, 417), (390, 420)])
+def test_blocks_of_each_size_are_the_sums_of_their_pixels(shape):
+    hdr = picture(shape, (shape[1] / 3, shape[0] / 2))
+    rng = np.random.default_rng(1)
+    hdr.radiance[rng.random(shape) < 0.02] *= 1.5
+    hdr.mask[rng.random(shape) < 0.05] = HOT
+    hdr.radiance[rng.random(shape) < 0.05] = np.nan
+    grid = grids_of(hdr, "RGGB", "B")[0]
+    pyramid = Pyramid(grid)
+    for k in (1, 2, 3):
+        expected = sums_one_by_one(grid, 2**k)
+        rows, columns = (axis.ravel() for axis in np.indices(expected.shape[1:]))
+        for found, sums in zip(pyramid._sums(k, rows, columns), expected, strict=True):
+            np.testing.assert_allclose(found, sums.ravel(), rtol=1e-5, atol=1e-5)
+
+
 def test_the_curve_of_blocks_is_that_of_all_pixels():
     whole = image(picture((700, 900), (430.3, 350.8)))
     spot = whole.spot

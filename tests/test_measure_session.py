@@ -10,10 +10,13 @@ import tifffile
 from builders import film, of_kinds
 
 from bssrdf.errors import InputError
+from bssrdf.measure.hdr import SATURATED
 from bssrdf.measure.session import measure_session
+from bssrdf.measure.summary import read_summary
 from bssrdf.measure.total_errors import polarisation_rel_sd
+from bssrdf.session.flags import Flag
 from bssrdf.session.frames_csv import read_frames, write_frames
-from bssrdf.session.hdr_image import read_hdr_exr
+from bssrdf.session.hdr_image import HdrExr, read_hdr_exr, write_hdr_exr
 from bssrdf.session.keys import keys_of
 from bssrdf.session.records import Beam, Camera, Geometry, Material, Reference, Session
 from bssrdf.session.session_toml import TABLES
@@ -228,7 +231,9 @@ def test_the_folder_measured_holds_images_and_slice_that_read_back(session, meas
     folder = session.path / "measured"
     assert sorted(file.name for file in folder.iterdir()) == [
         "reference.exr",
+        "reference.npz",
         "sample.exr",
+        "sample.npz",
         "scene.png",
         "slice.csv",
         "slice.png",
@@ -330,6 +335,50 @@ def test_a_curve_from_the_merged_images_is_that_of_the_whole_run_and_reads_no_fr
     assert (again.slice.total_r, again.slice.total_r_sd) == (whole.slice.total_r, whole.slice.total_r_sd)
     for name, part in measure_session(session, from_hdr=True, radial=True).slice.channels.items():
         np.testing.assert_array_equal(part.rd_per_mm2, radial.slice.channels[name].rd_per_mm2)
+
+
+def rows_read(monkeypatch):
+    """The rows of each part that are read from then on."""
+    read, rows = HdrExr.rows, set()
+
+    def watched(self, part, low, high):
+        rows.update((part, row) for row in range(low, high))
+        return read(self, part, low, high)
+
+    monkeypatch.setattr(HdrExr, "rows", watched)
+    return rows
+
+
+def test_a_curve_read_again_needs_the_pixels_near_the_slice_alone(tmp_path, monkeypatch):
+    session = write_session(tmp_path / "tall", shape=(2000, 120))
+    measure_session(session)
+    before = curve_files(session.path / "measured")
+    rows = rows_read(monkeypatch)
+    measure_session(session, from_hdr=True)
+    assert curve_files(session.path / "measured") == before
+    assert {part for part, _ in rows} == {"radiance", "variance", "mask"}
+    assert len(rows) < 0.5 * 3 * 2000
+
+
+@pytest.mark.parametrize("spoil", [Path.unlink, Path.touch, lambda path: path.write_bytes(path.read_bytes()[:9999])])
+def test_without_its_summary_an_image_is_read_whole_and_summed_up_anew(tmp_path, spoil):
+    session = write_session(tmp_path / "again")
+    measure_session(session)
+    before, summary = curve_files(session.path / "measured"), session.path / "measured/sample.npz"
+    spoil(summary if spoil is not Path.touch else summary.with_suffix(".exr"))
+    measure_session(session, from_hdr=True)
+    assert curve_files(session.path / "measured") == before
+    assert read_summary(summary, summary.with_suffix(".exr")) is not None
+
+
+def test_an_image_changed_by_hand_is_taken_as_it_is_now(tmp_path):
+    session = write_session(tmp_path / "edited")
+    assert Flag.GLINT not in measure_session(session).slice.flags
+    path = session.path / "measured/sample.exr"
+    parts, provenance = read_hdr_exr(path)
+    parts["mask"][5, 5] = SATURATED
+    write_hdr_exr(path, parts, provenance)
+    assert Flag.GLINT in measure_session(session, from_hdr=True).slice.flags
 
 
 def test_images_of_other_frames_or_another_camera_are_refused(tmp_path):

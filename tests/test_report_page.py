@@ -21,6 +21,7 @@ from bssrdf.bench.frame_faults import Shown, write_session
 from bssrdf.calib import Surface
 from bssrdf.cli import cli
 from bssrdf.commands.console import run
+from bssrdf.measure.hdr import Hdr
 from bssrdf.measure.scene import on_image
 from bssrdf.measure.session import measure_session
 from bssrdf.report.evidence import gather
@@ -277,7 +278,8 @@ def test_noise_above_its_bound_is_found(good: Path) -> None:
     assert evidence.merged
     honest = _noise(evidence)
     assert noise_tile(honest).holds
-    louder = {kind: replace(hdr, variance=4 * hdr.variance) for kind, hdr in evidence.merged.images.items()}
+    images = evidence.merged.images
+    louder = {kind: Hdr(hdr.radiance, 4 * hdr.variance, hdr.count, hdr.mask) for kind, hdr in images.items()}
     found = _noise(replace(evidence, merged=replace(evidence.merged, images=louder)))
     assert noise_tile(found).holds is False
 
