@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import cache
+from itertools import accumulate
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, get_args, get_origin
 
@@ -65,10 +66,26 @@ def column_of(kind: Any, values: Sequence[Any]) -> pa.Array:
     if is_json(kind):
         return pa.array([to_json(value) for value in values], pa.string())
     if get_origin(kind) is dict:
-        return pa.array([None if value is None else [*_finite(value).items()] for value in values], type_of(kind))
-    if get_origin(kind) is tuple and get_args(kind)[0] is float:
-        return pa.array([None if value is None else [*map(_finite, value)] for value in values], type_of(kind))
+        there = [value for value in values if value is not None]
+        keys = pa.array([key for value in there for key in value], pa.string())
+        return pa.MapArray.from_arrays(
+            _offsets(values), keys, column_of(get_args(kind)[1], _flat(map(dict.values, there)))
+        )
+    if get_origin(kind) is tuple:
+        items = column_of(get_args(kind)[0], _flat(value for value in values if value is not None))
+        return pa.ListArray.from_arrays(_offsets(values), items)
     return pa.array(values, type_of(kind))
+
+
+def _flat(values: Iterable[Iterable[Any]]) -> list[Any]:
+    return [each for value in values for each in value]
+
+
+def _offsets(values: Sequence[Any]) -> pa.Array:
+    """Where each list begins in what is flat, and the end; null for None."""
+    ends = [0, *accumulate(0 if value is None else len(value) for value in values)]
+    missing = [*(value is None for value in values), False]
+    return arrow().array(ends, arrow().int32(), mask=np.array(missing))
 
 
 def value_of(kind: Any, value: Any) -> Any:
@@ -85,14 +102,6 @@ def value_of(kind: Any, value: Any) -> Any:
 def to_json(value: Any) -> str | None:
     """One line of JSON, None for None or nothing; TypeError for what JSON has no form for."""
     return None if value is None or value == {} else json.dumps(value, ensure_ascii=False, separators=(",", ":"))
-
-
-def _finite(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {
-            key: [*_finite(each).items()] if isinstance(each, dict) else _finite(each) for key, each in value.items()
-        }
-    return value if math.isfinite(value) else None
 
 
 def schema_of(fields: dict[str, pa.DataType]) -> pa.Schema:

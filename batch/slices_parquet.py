@@ -254,7 +254,7 @@ def _rows(path: Path, table: Any) -> _Rows:
     plain = {
         name: _values(path, name, KINDS.get(name, str), table[name])
         for name in (*_NAMES, *KEYS)
-        if name in table.column_names
+        if name in table.column_names and table[name].null_count < len(table)
     }
     names, sha256, channels = (plain.pop(name, nothing) for name in _NAMES)
     lists = {name: _unpacked(path, name, table[name]) for name in COLUMNS if name in table.column_names}

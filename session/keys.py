@@ -99,7 +99,7 @@ class Declared:
     def needed(self) -> bool:
         return self.default is MISSING or bool(self.key.unless)
 
-    @property
+    @cached_property
     def by_channel(self) -> bool:
         """Whether it is a number for each channel."""
         return self.kind == dict[str, float]

@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 import numpy as np
 
 from bssrdf.session.keys import Key
-from bssrdf.session.records import Array, ChannelSlice, Slice
+from bssrdf.session.records import ChannelSlice, Slice
 
 MM = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "um": 0.001}
 """Length units by name [mm]."""
@@ -88,14 +88,16 @@ def _light(part: ChannelSlice) -> tuple[float, float]:
         return 0.0, math.inf
     flux = 2 * math.pi * r * np.abs(rd)
     inside = float(np.trapezoid(flux, r))
-    rising, falling = _decay(r[:4], flux[:4]), _decay(r[-4:], flux[-4:])
+    rising, falling = (_decay(r[ends].tolist(), flux[ends].tolist()) for ends in (slice(4), slice(-4, None)))
     nearer = float(flux[0] * np.expm1(min(rising * r[0], 50.0)) / rising) if rising else float(flux[0] * r[0])
     return inside, inside + nearer + (float(flux[-1] / falling) if falling > 0 else 0.0)
 
 
-def _decay(r: Array, flux: Array) -> float:
+def _decay(r: list[float], flux: list[float]) -> float:
     """k of flux ~ e^(−kr), by the line through its logarithm; 0 where it does not fall or is not known."""
-    if not np.all(flux > 0):
+    if min(flux) <= 0:
         return 0.0
-    away = r - r.mean()
-    return max(0.0, -float(away @ np.log(flux)) / float(away @ away))
+    middle = sum(r) / len(r)
+    away = [each - middle for each in r]
+    fall = -sum(x * math.log(each) for x, each in zip(away, flux, strict=True))
+    return max(0.0, fall / sum(x * x for x in away))
