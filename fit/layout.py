@@ -212,11 +212,20 @@ def _spot_is_seen(c: Curves) -> NDArray[np.bool_]:
     """Whether a spot changes the innermost radius used by a share of its error; R_d ~ 1/r² to 1/r³ there."""
     if not c.spot_radius.any():
         return np.zeros(c.spot_radius.shape[0], bool)
-    data = np.where(c.known != 0, np.abs(c.rd * c.known), np.nan).reshape(c.rd.shape[0], -1)
-    relative = np.where(c.errors_known[:, 0], np.nanmedian(1 / np.maximum(data, 1e-300), axis=1), 0.01)
+    relative = np.where(
+        c.errors_known[:, 0], _median(1 / np.maximum(np.abs(c.rd * c.known), 1e-300), c.known != 0), 0.01
+    )
     innermost = np.maximum((c.r_lo + c.r_hi).min(axis=1) / 2, RADII_FROM_SPOT * c.spot_radius[:, 0])
     wide = np.where(c.spot_radius[:, 0] > 0, 9 / 8 * (c.spot_radius[:, 0] / innermost) ** 2, 0.0)
     return np.asarray(wide > SPOT_MATTERS * relative)
+
+
+def _median(values: Floats, counts: Bools) -> Floats:
+    """Of the values of each row that count, (b,); np.nanmedian would load NumPy's masked arrays first."""
+    b = values.shape[0]
+    ordered = np.sort(np.where(counts, values, np.inf).reshape(b, -1), axis=1)
+    n, rows = counts.reshape(b, -1).sum(axis=1), np.arange(b)
+    return (ordered[rows, np.maximum(n - 1, 0) // 2] + ordered[rows, n // 2]) / 2
 
 
 def sight_of(piece: Slice, curves: Curves, *, blurred: bool | None = None) -> Sight:

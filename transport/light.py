@@ -8,6 +8,7 @@ pass q = 0 on its way.
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import lru_cache
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
@@ -308,6 +309,7 @@ def transmittance(xp: Any, eta: Any, mu: Any) -> Any:
     return xp.where(refracted2 > 0, 1 - (r_s * r_s + r_p * r_p) / 2, 0.0)
 
 
+@lru_cache(maxsize=256)
 def exit_norm(eta: float) -> float:
     """C = 2∫₀¹ Ft(eta, μ) μ dμ over outside directions; see `fresnel.exit_norm`."""
     denser = max(eta, 1 / eta)

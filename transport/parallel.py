@@ -5,8 +5,10 @@ from __future__ import annotations
 import os
 import threading
 from collections.abc import Callable, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
-from typing import TypeVar
+from typing import TYPE_CHECKING, TypeVar
+
+if TYPE_CHECKING:
+    from concurrent.futures import Future
 
 T = TypeVar("T")
 
@@ -21,6 +23,8 @@ def run_all(
 
     At Ctrl-C `stop` is set, and tasks that heed it return None; with fewer than two results KeyboardInterrupt goes on.
     """
+    from concurrent.futures import ThreadPoolExecutor  # late: a fit that names Progress alone starts without it
+
     interrupted = False
     with ThreadPoolExecutor(n_threads or os.cpu_count()) as pool:
         futures = [pool.submit(task) for task in tasks]
@@ -38,6 +42,8 @@ def run_all(
 
 
 def _report(futures: list[Future[T]], progress: Progress | None) -> None:
+    from concurrent.futures import FIRST_COMPLETED, wait
+
     pending = set(futures)
     while pending:
         finished, pending = wait(pending, return_when=FIRST_COMPLETED)
