@@ -18,8 +18,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from bssrdf.bench.fit_peers import PeerFit, PeerProblem, jaxopt_soft, scipy_exact, scipy_slsqp, scipy_soft, timed
-from bssrdf.fit import Constraint, Making
-from bssrdf.fit.batch import Job, Options, fit_group
+from bssrdf.fit import Constraint, shipped_table
+from bssrdf.fit.batch import fit_group
+from bssrdf.fit.jobs import Job, Options
 from bssrdf.session.records import ChannelSlice, Slice
 from bssrdf.transport import CHANNELS, absorption_ratio, load_materials, scoped_x64, table_model
 from bssrdf.transport.dipole import Medium
@@ -147,12 +148,11 @@ def _ours(name: Literal["dipole", "mc"], constraint: Constraint, problem: PeerPr
     options = Options(constraint, scale_free=False, robust=False, window_mm=None, tables="shipped")
     found: list[np.ndarray] = []
     # as the peers have it: all radii, each weighed by its own error alone
-    model = dipole(ETA)._replace(relative_error=0.0, window_mfp=(0.0, np.inf)) if name == "dipole" else None
+    bare = dipole(ETA)._replace(relative_error=0.0, window_mfp=(0.0, np.inf))
+    model = bare if name == "dipole" else shipped_table(ETA, 0.0)
 
     def run() -> np.ndarray:
-        fitted = [
-            fit_group(jobs[k : k + ROWS], options, name, Making(), model=model) for k in range(0, len(jobs), ROWS)
-        ]
+        fitted = [fit_group(jobs[k : k + ROWS], options, model) for k in range(0, len(jobs), ROWS)]
         points = [each.found.point for each in fitted]
         found[:] = [np.concatenate([coefficients(p.log_sigma, p.q)[k][:, 0] for p in points]) for k in range(2)]
         return found[1]

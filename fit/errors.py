@@ -65,7 +65,8 @@ def judge(e: Engine, plan: Plan, model: Light, data: Problem, found: Solution) -
     looks, totals = seen.curves, totals_of(e, plan, data, laid, seen)
     rows = [rows_of(e, laid, each, k) for k, each in enumerate(looks)]
     full = system(e, plan, data, laid, seen, totals, by)
-    answer = _answer(e, plan, totals, full.matrix)
+    keeps = keeping(plan, totals)
+    answer = _answer(e, plan, keeps, full.matrix)
     w2 = [squares(e, plan, model, data, laid, at, each[0], k) for k, each in enumerate(looks)]
     used = tuple((window(e, model, c, at.log_sigma) > 0.5) & (m > 0) for c, m in zip(data.curves, by.mass, strict=True))
     n = sum(((c.known != 0).sum(2) * window(e, model, c, at.log_sigma)).sum(1) for c in data.curves)
@@ -88,7 +89,7 @@ def judge(e: Engine, plan: Plan, model: Light, data: Problem, found: Solution) -
         of_table = _seen(xp, answer, allowed)
         sources["table"] = sources.get("table", 0.0) + of_table
         own = own + of_table
-    total_answer, pull = _by_totals(e, plan, data, found, totals, full.matrix, answer, sources)
+    total_answer, pull = _by_totals(e, keeps, data, found, totals, full.matrix, answer, sources)
     runs_z = _runs(e, data, laid, looks, w2, found.shared)
     doubted = xp.where((runs_z < SCATTERED)[:, None, None], own, sum(sources.values()))
     sources["misfit"] = (grown - 1)[:, None, None] * doubted
@@ -111,10 +112,9 @@ def judge(e: Engine, plan: Plan, model: Light, data: Problem, found: Solution) -
     )
 
 
-def _answer(e: Engine, plan: Plan, totals: Gaps, matrix: Any) -> Any:
+def _answer(e: Engine, plan: Plan, keeps: tuple[Any, Any] | None, matrix: Any) -> Any:
     """G, (b, P, P)."""
     xp = e.xp
-    keeps = keeping(plan, totals)
     lift = elimination(e, keeps)[0] if keeps is not None else xp.asarray(np.eye(matrix.shape[1])[None])
     alive = np.array([*plan.free, *range(3, matrix.shape[1])])
     short = lift[:, :, alive]
@@ -139,7 +139,7 @@ def _by_prior(plan: Plan, answer: Any) -> dict[str, Any]:
 
 def _by_totals(
     e: Engine,
-    plan: Plan,
+    keeps: tuple[Any, Any] | None,
     data: Problem,
     found: Solution,
     totals: Gaps,
@@ -154,7 +154,7 @@ def _by_totals(
     covariance = xp.zeros((b, 2, 2))
     for measured, law, gap, row, sd in zip(data.totals, found.laid.total_seen, *totals, strict=True):
         value = measured.r / law - gap
-        if plan.exact:
+        if keeps is not None:
             shift = xp.asarray(np.eye(row.shape[1])[1]) / row[:, 1:2]
             moved = shift - xp.matmul(answer, xp.matmul(matrix, shift[:, :, None]))[:, :, 0]
             error = xp.where(xp.isfinite(sd), sd, 0.0)

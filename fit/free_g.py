@@ -9,8 +9,9 @@ from typing import NamedTuple
 import numpy as np
 
 from bssrdf.errors import InputError
-from bssrdf.fit.batch import Job, fit_group, groups_of
-from bssrdf.fit.models import Making, tabulated
+from bssrdf.fit.batch import fit_group
+from bssrdf.fit.jobs import Job, groups_of
+from bssrdf.fit.models import Making, table_of_medium, tabulated
 from bssrdf.fit.run import SILENT, FitOptions
 from bssrdf.session.records import Slice
 
@@ -37,7 +38,8 @@ def fit_g(piece: Slice, options: FitOptions, *, making: Making = SILENT) -> Free
         begin = None  # each g begins where the last one ended
         for at, g in enumerate(GRID):
             members = [Job((replace(piece, g=g),), jobs[place].channel) for place in places]
-            found = fit_group(members, asked, "mc", making, begin=begin).found
+            model = table_of_medium(members[0].pieces[0], asked.tables, making)
+            found = fit_group(members, asked, model, begin=begin).found
             chi2[at] += float(found.cost.sum())
             begin = found.point
     return _lowest(GRID, chi2)

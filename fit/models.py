@@ -68,6 +68,11 @@ def table_of_medium(piece: Slice, policy: Policy, making: Making) -> WhiteTable:
     return _table(found.eta, found.g, making, beam_of(piece))
 
 
+def named(name: Literal["dipole", "mc"], piece: Slice, policy: Policy, making: Making) -> Light:
+    """The model of that name for the slice's medium and beam."""
+    return dipole(piece.eta) if name == "dipole" else table_of_medium(piece, policy, making)
+
+
 def has_table(piece: Slice, policy: Policy) -> bool:
     """Whether the policy gives this medium and beam a table."""
     try:
@@ -121,10 +126,15 @@ class _Neighbours(Mapping[str, tuple[Light, float]]):
         return len(self._made)
 
 
+def beside_of(model: Light, piece: Slice) -> Mapping[str, tuple[Light, float]]:
+    """A model's neighbours for a slice; none beside an oblique beam."""
+    return _beside(model.biased, piece.eta, piece.g) if beam_of(piece) == NORMAL else {}
+
+
 @lru_cache(maxsize=64)
-def beside(name: Literal["dipole", "mc"], eta: float, g: float | None) -> Mapping[str, tuple[Light, float]]:
+def _beside(of_dipole: bool, eta: float, g: float | None) -> Mapping[str, tuple[Light, float]]:
     """Those of a medium; for the table what ships."""
-    if name == "dipole":
+    if of_dipole:
         return _Neighbours({"eta": partial(dipole, eta + ETA_STEP)}, {"eta": ETA_STEP})
     g = ASSUMED_G if g is None else g
     made: dict[str, Callable[[], Light]] = {}

@@ -102,7 +102,7 @@ def seen_at(e: Engine, sight: Sight, model: Light, c: Curves, log_sigma: Any, q:
     xp = e.xp
     sigma = xp.exp(log_sigma)
     centre = xp.maximum((c.r_lo + c.r_hi) / 2, NEAREST_MFP / sigma)
-    if not (sight.blurred or (sight.camera and model.name != "dipole")):
+    if not (sight.blurred or (sight.camera and model.exit_varies)):
         return plain(e, log_sigma, q)
     if sight.blurred:
         k = sight.blur_inner
@@ -142,7 +142,7 @@ def _blurred(
 def _towards_camera(e: Engine, sight: Sight, model: Light, q: Any, x: Any, sin_turn: Any, arc: Any) -> Look:
     """What the camera sees of a narrow beam, over Fresnel's exit law, where a bin's pixels lie within ±`arc` [rad] of
     the line across its view and `sin_turn` is that of the angle between a pixel's radius and its light's."""
-    if not sight.camera or model.name == "dipole":
+    if not (sight.camera and model.exit_varies):
         return model.look(e, q, x)
     law = float(transmittance(np, model.eta, sight.cos_view)) / exit_norm(model.eta)
     value, by_x, by_q = model.radiance(e, q, x, sight.cos_view, *azimuths(e, arc, sin_turn))

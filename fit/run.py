@@ -9,8 +9,9 @@ from typing import Literal
 import numpy as np
 
 from bssrdf.errors import InputError
-from bssrdf.fit.batch import Fitted, Job, Options, fit_group, groups_of, surely_poor
+from bssrdf.fit.batch import Fitted, fit_group, surely_poor
 from bssrdf.fit.intervals import Profile, profile
+from bssrdf.fit.jobs import Job, Options, groups_of
 from bssrdf.fit.models import (
     ASSUMED_G,
     DIPOLE_BEST,
@@ -19,6 +20,7 @@ from bssrdf.fit.models import (
     ModelName,
     beam_of,
     has_table,
+    named,
     shipped_table,
     tabulated,
     truth_of,
@@ -31,7 +33,7 @@ from bssrdf.session.flags import Flag
 from bssrdf.session.records import ChannelFit, Slice
 from bssrdf.transport import NORMAL, Policy
 from bssrdf.transport.arrays import picked
-from bssrdf.transport.light import Light, WhiteTable, coefficients
+from bssrdf.transport.light import Light, WhiteTable, coefficients, dipole
 
 OTHER_G = (0.0, 0.35, 0.6, 0.8, 0.9)
 ETA_AWAY = 0.1
@@ -117,18 +119,20 @@ def batches(jobs: Sequence[Job], options: FitOptions, making: Making) -> Iterato
     """Batches with the places of their jobs, by the model asked for; with auto the dipole where it will do."""
     for places, many in groups_of(jobs, options.of_problem):
         members, piece = [jobs[at] for at in places], jobs[places[0]].pieces[0]
-        name = options.model
+        auto, name = options.model == "auto", options.model
         if name == "auto":
             name = "mc" if has_table(piece, options.tables) else "dipole"
-        fitted = fit_group(members, options.of_problem, name, making, compile_it=many)
-        simple = np.flatnonzero(_dipole_will_do(fitted)) if options.model == "auto" and name == "mc" else np.array([])
+        model = named(name, piece, options.tables, making)
+        fitted = fit_group(members, options.of_problem, model, compile_it=many)
+        simple = np.flatnonzero(_dipole_will_do(fitted)) if auto and not model.biased else np.array([])
         if not simple.size:
             yield places, fitted
             continue
         rest = np.setdiff1d(np.arange(len(places)), simple)
         if rest.size:
             yield [places[row] for row in rest], _subset(fitted, rest)
-        again = fit_group([members[row] for row in simple], options.of_problem, "dipole", making, compile_it=many)
+        others = [members[row] for row in simple]
+        again = fit_group(others, options.of_problem, dipole(piece.eta), compile_it=many)
         yield [places[row] for row in simple], again
 
 

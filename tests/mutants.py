@@ -270,7 +270,7 @@ ERRORS = (
     ),
     Mutant(
         "joint: slices against one tile draw their scales apart",
-        "fit/batch.py",
+        "fit/jobs.py",
         "return tuple(ids.index(name) if name is not None else at for at, name in enumerate(ids))",
         "return tuple(range(len(ids)))",
         ("fit_joint::a_slice_cut_in_two",),

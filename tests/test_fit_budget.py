@@ -15,10 +15,11 @@ from builders import model_light, seen_slice, slice_of
 from scipy.optimize import minimize_scalar
 from scipy.stats import norm
 
-from bssrdf.fit.batch import Fitted, Job, Options, fit_group
+from bssrdf.fit.batch import Fitted, fit_group
 from bssrdf.fit.intervals import ONE_SIDED, TWO_SIDED, profile
+from bssrdf.fit.jobs import Job, Options
 from bssrdf.fit.laying import look
-from bssrdf.fit.models import Making
+from bssrdf.fit.models import shipped_table
 from bssrdf.fit.problem import Point
 from bssrdf.fit.run import FitOptions, fit_slices
 from bssrdf.fit.terms import system, totals_of
@@ -145,7 +146,7 @@ def vaguely_seen(sigma_a: float, sd: float) -> Fitted:
     known = slice_of(R_MM, factor * rd, total_r=factor * total_r, total_sd=SDS["total"], **seen, eta=ETA, g=G)
     channel = replace(known.channels["G"], sd_per_mm2=sd * factor * rd)
     options = Options("soft", scale_free=False, robust=False, window_mm=None, tables="shipped")
-    return fit_group([Job((replace(known, channels={"G": channel}),), "G")], options, "mc", Making())
+    return fit_group([Job((replace(known, channels={"G": channel}),), "G")], options, shipped_table(ETA, G))
 
 
 def test_a_profile_is_the_linear_interval_where_the_cost_is_a_parabola() -> None:

@@ -11,9 +11,9 @@ import pytest
 from bssrdf.bench import finite_light
 from bssrdf.bench.finite_light import Case, slice_of
 from bssrdf.errors import InputError
-from bssrdf.fit.batch import Job, problem_of
 from bssrdf.fit.compiled import settled
-from bssrdf.fit.models import beside, shipped_table
+from bssrdf.fit.jobs import Job, problem_of
+from bssrdf.fit.models import beside_of, shipped_table
 from bssrdf.fit.run import FitOptions, fit_joint, fit_slice, fit_slices
 from bssrdf.fit.solve import settle, start
 from bssrdf.session.records import ChannelFit
@@ -170,7 +170,7 @@ def test_a_joint_fit_of_one_is_the_fit_and_two_depths_tell_more_than_one() -> No
 def test_both_engines_find_the_same_optimum(case: Case) -> None:
     pieces = [slice_of(case, thickness_sd_mm=sd, backing_sd=0.03) for sd in (0.1, 0.2)]
     model: Light = shipped_table(case.eta, case.g)
-    aside = beside("mc", case.eta, case.g)
+    aside = beside_of(model, pieces[0])
     jobs = [Job((piece,), "R") for piece in pieces]
     plan, data = problem_of(jobs, OPTIONS.of_problem, model, aside)
     ours = settle(NUMPY, plan, model, data, start(NUMPY, plan, model, data, 0)[0], aside)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Sequence
+from typing import Literal
 
 import jax
 import jax.numpy as jnp
@@ -13,9 +14,10 @@ from builders import seen_slice
 
 from bssrdf.bench.trial_light import shipped
 from bssrdf.bench.trials import Drawn, slices_of
-from bssrdf.fit.batch import BATCH, Fitted, Job, Options, fit_group
+from bssrdf.fit.batch import Fitted, fit_group
 from bssrdf.fit.compiled import settled
-from bssrdf.fit.models import Making
+from bssrdf.fit.jobs import BATCH, Job, Options
+from bssrdf.fit.models import Making, named
 from bssrdf.fit.neighbours import refitted, table_error
 from bssrdf.fit.problem import Point, Weights
 from bssrdf.fit.run import FitOptions, fit_slices
@@ -40,8 +42,9 @@ def seen(sigma_a: float, sigma_sp: float) -> Slice:
     return seen_slice(sigma_a, sigma_sp, **spot, scale_rel_sd=0.005, mm_rel_sd=0.002)
 
 
-def fitted(pieces: Sequence[Slice], model: str = "mc", options: Options = PLAIN) -> Fitted:
-    return fit_group([Job((piece,), "G") for piece in pieces], options, model, Making())  # type: ignore[arg-type]
+def fitted(pieces: Sequence[Slice], name: Literal["mc", "dipole"] = "mc", options: Options = PLAIN) -> Fitted:
+    model = named(name, pieces[0], options.tables, Making())
+    return fit_group([Job((piece,), "G") for piece in pieces], options, model)
 
 
 def test_jax_and_numpy_run_the_same_fit() -> None:

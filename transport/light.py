@@ -53,6 +53,11 @@ class Light(Protocol):
         ...
 
     @property
+    def exit_varies(self) -> bool:
+        """Whether what a camera sees falls off otherwise than R_d."""
+        ...
+
+    @property
     def exit_error_mfp(self) -> float:
         """How far its radiance across the view may be off relative to that, times the radius in mean free paths."""
         ...
@@ -89,6 +94,7 @@ class Dipole(NamedTuple):
     window_mfp: tuple[float, float] = (1.0, 24.0)
     relative_error: float = 0.05
     biased: bool = True
+    exit_varies: bool = False
     exit_error_mfp: float = 0.0  # nothing beside its other errors
 
     def look(self, e: Engine, q: Any, x: Any) -> Look:
@@ -147,6 +153,7 @@ class WhiteTable(NamedTuple):
     window_mfp: tuple[float, float] = (0.0, R_MAX)
     relative_error: float = 0.003
     biased: bool = False
+    exit_varies: bool = True
     exit_error_mfp: float = 0.008  # docs/white-tables.md
 
     def look(self, e: Engine, q: Any, x: Any) -> Look:
