@@ -21,6 +21,8 @@ if TYPE_CHECKING:
     from bssrdf.calib.exposures import local_log_ratios as local_log_ratios
     from bssrdf.calib.exposures import rough_log_ratio as rough_log_ratio
     from bssrdf.calib.exposures import signal_weight as signal_weight
+    from bssrdf.calib.few_parameters import least_squares as least_squares
+    from bssrdf.calib.few_parameters import root as root
     from bssrdf.calib.frame_model import Exposed as Exposed
     from bssrdf.calib.frame_model import Exposures as Exposures
     from bssrdf.calib.frame_model import FrameModel as FrameModel

@@ -11,9 +11,8 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
-from scipy.special import erf, ive
 
+from bssrdf.calib.few_parameters import least_squares
 from bssrdf.calib.monotone import Monotone
 from bssrdf.errors import InputError
 from bssrdf.transport.exit_radiance import boundary_a
@@ -29,6 +28,8 @@ _RINGS_PER_SIGMA = 6
 _STEPS_PER_SIGMA = 3
 _REACH = 5.0
 """Of the image that is fitted, in radii of its core."""
+_I0_SAFE = 600.0
+"""There the term after those of the series is 1e-12 of the sum."""
 _NODES = np.polynomial.legendre.leggauss(3)
 _SHAPE_REL_SD = 0.03
 """How far the form is right near the source."""
@@ -69,10 +70,11 @@ def radius_on_tile(
         return (value - model) / np.sqrt(variance[near] + (shape_sd * model) ** 2)
 
     amplitude = np.log(value.max() * core_radius**2)
-    start = [np.log(0.8 * core_radius), np.log(0.3 * core_radius), amplitude]
-    low, high = ([np.log(0.01 * core_radius), np.log(1e-6 * core_radius)], [np.log(2 * core_radius)] * 2)
-    solved = least_squares(residual, start, bounds=([*low, amplitude - 9], [*high, amplitude + 9]), x_scale=0.1)
-    covariance = np.linalg.pinv(solved.jac.T @ solved.jac)
+    start = np.array([np.log(0.8 * core_radius), np.log(0.3 * core_radius), amplitude])
+    low = np.array([np.log(0.01 * core_radius), np.log(1e-6 * core_radius), amplitude - 9])
+    high = np.array([np.log(2 * core_radius), np.log(2 * core_radius), amplitude + 9])
+    solved = least_squares(residual, start, low, high)
+    covariance = np.linalg.pinv(solved.slopes.T @ solved.slopes)
     radius, mfp = np.exp(solved.x[:2])
     sd = np.hypot(radius * np.sqrt(covariance[0, 0]), _SPREAD_REL_SD * (core_radius - radius))
     return BeamRadius(float(radius), float(sd), float(mfp))
@@ -99,8 +101,15 @@ def spot_image(radius: float, mfp: float, reach: float, view_angle_deg: float) -
     edges = np.linspace(0.0, reach + 4 * sigma, int(_RINGS_PER_SIGMA * (reach / sigma + 4)) + 1)
     ring, s = -np.diff(beyond(edges / mfp, view_angle_deg)), (edges[1:] + edges[:-1]) / 2
     r = np.linspace(0.0, reach, int(_STEPS_PER_SIGMA * reach / sigma) + 2)
-    kernel = np.exp(-((r[:, None] - s) ** 2) / (2 * sigma**2)) * ive(0, r[:, None] * s / sigma**2)
+    kernel = np.exp(-((r[:, None] - s) ** 2) / (2 * sigma**2)) * scaled_i0(r[:, None] * s / sigma**2)
     return Monotone(r, np.log(kernel @ ring / (2 * np.pi * sigma**2)))
+
+
+def scaled_i0(x: Array) -> Array:
+    """exp(−x) I₀(x), x ≥ 0: NumPy's up to where it overflows, from there three terms of the asymptotic series."""
+    small, large = np.minimum(x, _I0_SAFE), np.maximum(x, _I0_SAFE)
+    series = (1 + 1 / (8 * large) * (1 + 9 / (16 * large) * (1 + 25 / (24 * large)))) / np.sqrt(2 * np.pi * large)
+    return np.where(x < _I0_SAFE, np.i0(small) * np.exp(-small), series)
 
 
 def _pixel_mean(log_curve: Monotone, across: Array, along: Array, footprint: tuple[float, float]) -> Array:
@@ -119,6 +128,8 @@ def knife_edge_radius(position: Array, light: Array) -> float:
 
     A Gaussian spot of radius w passes (1 + erf(√2 (x − x₀)/w))/2.
     """
+    from scipy.special import erf
+
     if len(position) < 5:
         raise InputError(f"{len(position)} positions of the edge do not tell the spot's radius; give at least five")
     low, high = light.min(), light.max()
@@ -131,5 +142,5 @@ def knife_edge_radius(position: Array, light: Array) -> float:
             bottom + (top - bottom) * (1 + erf(rising * 2**0.5 * (position - centre) / np.exp(log_radius))) / 2 - light
         )
 
-    start = [middle, np.log(np.ptp(position) / 8), low, high]
-    return float(np.exp(least_squares(residual, start).x[1]))
+    start = np.array([middle, np.log(np.ptp(position) / 8), low, high])
+    return float(np.exp(least_squares(residual, start, np.full(4, -np.inf), np.full(4, np.inf)).x[1]))

@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import i0e, i1e, k0e, k1e
 
 from bssrdf.fit import Held
 from bssrdf.session.records import Array
@@ -54,6 +53,8 @@ class Holder(NamedTuple):
 
         By the modes of `transport.finite`, whose sum Σ c (K0(κx) − b I0(κx))/2π, x = r/mfp, keeps its digits far out.
         """
+        from scipy.special import i0e, i1e, k0e, k1e
+
         held = self.held
         tau = np.full((1, 1), self.thickness / mfp)
         modes = slab_modes(NUMPY, self.top, loss_of(held.back), tau, np.arange(1, n_modes + 1))

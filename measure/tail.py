@@ -15,8 +15,8 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from scipy.optimize import brentq, least_squares
 
+from bssrdf.calib import least_squares, root
 from bssrdf.fit import HALF_SPACE, NEAR_WALL, Held
 from bssrdf.measure.holder import Holder
 from bssrdf.measure.profile import RadialProfile
@@ -35,9 +35,12 @@ _OUTERMOST = 4
 _ATTENUATION_REL_SD = 0.03
 _MOST_STEP = 0.01
 """A parameter that nothing tells has an error without bound; its slope is taken over no more than this."""
+_LONGEST = 1.0
+"""Step of ln σtr on the way: a leap may end at a σtr so small that the curve knows it no more."""
 _ORDINATES = 16
 _LOG_LOSS = (-14.0, -0.5)
 """Range of ln(1 − α′) in which a total is looked up."""
+_CLOSE = 1e-6
 _TOTALS = 41
 """Of half spaces in that range, between which those of a finite sample are interpolated."""
 _NOTHING_LEFT = 12.0
@@ -102,7 +105,7 @@ class Surroundings(NamedTuple):
         low, high = _LOG_LOSS
         if not excess(high) < 0 < excess(low):
             return float(np.exp(low if total > 0.5 else high))
-        return float(np.exp(brentq(excess, low, high, xtol=1e-4)))
+        return float(np.exp(root(excess, low, high, _CLOSE)))
 
     def _seen(self, log_loss: float) -> float:
         """Total of a half space as this camera sees it."""
@@ -246,9 +249,9 @@ def fit_tail(
         return replace(unit, scale=scale, floor=below + float(p[3]) * first if with_floor else 0.0)
 
     n = 4 if with_floor else 3
-    low = [-20.0, np.log(1e-4 / reach), np.log(1e-3 * reach), -1.0][:n]
-    high = [20.0, np.log(30 / reach), np.log(reach), 1.0][:n]
-    start = [0.0, np.log(1 / reach), np.log(0.05 * reach), 0.0][:n]
+    low = np.array([-20.0, np.log(1e-4 / reach), np.log(1e-3 * reach), -1.0])[:n]
+    high = np.array([20.0, np.log(30 / reach), np.log(reach), 1.0])[:n]
+    start = np.array([0.0, np.log(1 / reach), np.log(0.05 * reach), 0.0])[:n]
 
     def residual(p: Array) -> Array:
         by_curve = (make(p)(r) - value) / sd
@@ -256,7 +259,7 @@ def fit_tail(
             return by_curve
         return np.append(by_curve, (p[1] + p[2] - np.log(attenuation(float(np.exp(p[2]))))) / _ATTENUATION_REL_SD)
 
-    solved = least_squares(residual, start, bounds=(low, high))
-    covariance = np.linalg.pinv(solved.jac.T @ solved.jac)
-    chi2 = 2 * float(solved.cost) / max(len(solved.fun) - n, 1)
+    solved = least_squares(residual, start, low, high, longest=_LONGEST)
+    covariance = np.asarray(np.linalg.pinv(solved.slopes.T @ solved.slopes), float)
+    chi2 = 2 * solved.cost / max(len(solved.residuals) - n, 1)
     return TailFit(make(solved.x), solved.x, covariance, make, chi2)

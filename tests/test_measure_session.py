@@ -1,6 +1,8 @@
 """`measure_session` on sessions made here with plain numpy noise."""
 
 import shutil
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,6 +11,7 @@ import pytest
 import tifffile
 from builders import film, of_kinds
 
+from bssrdf.bench.measure import write_large
 from bssrdf.errors import InputError
 from bssrdf.measure.hdr import SATURATED
 from bssrdf.measure.session import measure_session
@@ -414,3 +417,17 @@ def test_a_polarised_beam_enters_by_fresnel_in_a_direction_that_is_drawn(eta):
     entering = 1 - across * np.cos(psi) ** 2 - along * np.sin(psi) ** 2
     assert polarisation_rel_sd(40.0, eta) == pytest.approx(entering.std() / entering.mean(), rel=0.01)
     assert polarisation_rel_sd(0.0, eta) == 0
+
+
+def test_measuring_waits_for_no_library_that_it_can_do_without(tmp_path):
+    """Their imports took longer than all that was done with them."""
+    write_large(tmp_path / "s", times=1)
+    measured = (
+        "import sys; from bssrdf.cli import cli; from bssrdf.commands.console import run;"
+        "code = run(cli, sys.argv[1:]);"
+        "print(code, *({'jax', 'matplotlib', 'numba', 'scipy'} & sys.modules.keys()), file=sys.stderr)"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", measured, "measure", str(tmp_path / "s"), "--quiet"], capture_output=True, text=True
+    )
+    assert done.stderr.strip() == "0"
