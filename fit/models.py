@@ -21,9 +21,9 @@ OBLIQUE_DEG = 10.0
 DIPOLE_SHARE = 0.3
 """Of the statistical sd: a dipole whose model error is below adds at most 4 % to an interval's true width."""
 
-COARSE_ERROR, COARSE_FACTOR = 0.006, 3.0
+COARSE_ERROR = 0.006
 """Of the tables that ship for unusual media: interpolated between few, they lie 0.2 to 0.7 % off fine ones at 1 to 5
-mean free paths and 1 to 2 % at 18, three times what their own noise says."""
+mean free paths and 1 to 2 % at 18."""
 DIPOLE_BEST = 0.005
 """Relative sd of both coefficients below which nobody need ask: no dipole is right to 0.3 of that."""
 
@@ -102,9 +102,7 @@ def truth_of(piece: Slice, policy: Policy, making: Making) -> Truth | None:
 def _table(eta: float, g: float, making: Making, beam: Incidence = NORMAL) -> WhiteTable:
     table = table_of(table_model(eta, g, beam=beam, announce=making.announce, progress=making.progress))
     coarse = place(eta, g, beam=beam).origin == "shipped" and not tabulated(eta, g)
-    if not coarse:
-        return table
-    return table._replace(relative_error=COARSE_ERROR, log_curve_sd=COARSE_FACTOR * table.log_curve_sd)
+    return table._replace(relative_error=COARSE_ERROR) if coarse else table
 
 
 class _Neighbours(Mapping[str, tuple[Light, float]]):

@@ -14,7 +14,7 @@ from bssrdf.transport.discrete_ordinates import N_MOMENTS, decay_constants, half
 from bssrdf.transport.incidence import NORMAL, Incidence, once_scattered
 from bssrdf.transport.single import first_order_rd, first_order_total
 from bssrdf.transport.white.grid import N_W_CELLS, RHO_ZERO, W_MAX, albedo_of, by_cell, interpolating, q_nodes
-from bssrdf.transport.white.store import place, shipped, shipped_wide, table_model
+from bssrdf.transport.white.store import COARSE_FACTOR, place, shipped, shipped_wide, table_model
 
 SCRIPT = """
 import sys
@@ -104,6 +104,31 @@ def test_coarse_tables_agree_with_fine_ones_between_their_nodes(eta, g):
         )
     assert np.sqrt(np.mean((coarse / fine - 1) ** 2)) < 0.01
     assert coarse == pytest.approx(fine, rel=0.04)
+
+
+def light_of(model, radii):
+    return np.array([model.rd(Medium(a, 1.0, float(model.eta)), radii) for a in (0.01, 0.1)])
+
+
+@pytest.mark.parametrize("eta", [1.3, 1.5])
+@pytest.mark.parametrize("g", [0.0, 0.8])
+def test_fine_tables_tell_of_media_beyond_their_last_node(eta, g):
+    """Predicted without the fine table there, which the walks of all others know nothing of."""
+    fine, coarse, others = shipped().of(g), shipped_wide().of(g), shipped().etas != eta
+    without = fine._replace(etas=fine.etas[others], **{n: getattr(fine, n)[:, others] for n in fine._fields[2:]})
+    with jax.enable_x64(True):
+        radii = np.geomspace(0.3, 10, 20)
+        found, expected = (
+            light_of(tables.model(eta, g), radii) for tables in (without.widened(coarse, COARSE_FACTOR), fine)
+        )
+    assert found == pytest.approx(expected, rel=0.004)
+
+
+@pytest.mark.parametrize("eta", [1.3, 1.5])
+def test_light_does_not_jump_where_coarse_tables_take_over(eta):
+    with jax.enable_x64(True):
+        below, above = (light_of(table_model(eta + step, 0.3), np.geomspace(0.1, 20, 20)) for step in (-1e-6, 1e-6))
+    assert above == pytest.approx(below, rel=1e-4)
 
 
 @pytest.mark.parametrize(("eta", "g"), [(1.0, 0.0), (1.7, 0.8), (2.5, 0.5), (3.0, 0.85)])

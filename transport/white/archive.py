@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from bssrdf.transport.white.smooth import FittedTable
 
 Floats = NDArray[np.float64]
+Places = NDArray[np.int_]
 
 FORMAT = 2
 KIND = "bssrdf white table"
@@ -50,17 +51,47 @@ class TableSet(NamedTuple):
                 f"eta = {eta}, g = {g}: the tables cover eta {self.etas[0]:g} to {self.etas[-1]:g} "
                 f"and g {self.gs[0]:g} to {self.gs[-1]:g}"
             )
-        weights = np.outer(lagrange(self.gs, g), lagrange(self.etas, eta))
-        log_curve, sd, angles = (
-            np.tensordot(w, a, 2)
-            for w, a in ((weights, self.log_curve), (np.abs(weights), self.log_curve_sd), (weights, self.angles))
-        )
+        one, weights = self.of(g), lagrange(self.etas, eta, _about(self.etas, eta))
+        log_curve, sd, angles = _mixed(weights, *(each[0] for each in one[2:]))
         return assemble(eta, g, log_curve, sd, angles, beam)
 
+    def of(self, g: float) -> TableSet:
+        """The tables of this g at every node of η."""
+        mixed = _mixed(lagrange(self.gs, g), *self[2:])
+        return TableSet(self.etas, np.array([g]), *(each[None] for each in mixed))
 
-def lagrange(nodes: Floats, x: float) -> Floats:
-    """Weights of the values at `nodes` in their interpolating polynomial through the NEIGHBOURS nearest, at x."""
-    near = np.sort(np.argsort(np.abs(nodes - x), kind="stable")[:NEIGHBOURS])
+    def widened(self, coarse: TableSet, factor: float) -> TableSet:
+        """With coarse tables of the same g beyond its own nodes of η, whose error is `factor` times what they say."""
+        coarse = coarse._replace(log_curve_sd=factor * coarse.log_curve_sd)
+        beyond = (coarse.etas < self.etas[0]) | (coarse.etas > self.etas[-1])
+        etas = np.append(self.etas, coarse.etas[beyond])
+        order = np.argsort(etas)
+        arrays = (
+            np.concatenate([a, b[:, beyond]], axis=1)[:, order] for a, b in zip(self[2:], coarse[2:], strict=True)
+        )
+        return TableSet(etas[order], self.gs, *arrays)
+
+
+def _mixed(weights: Floats, log_curve: Floats, log_curve_sd: Floats, angles: Floats) -> tuple[Floats, Floats, Floats]:
+    """Along the first axis."""
+    sd = np.tensordot(np.abs(weights), log_curve_sd, 1)
+    return np.tensordot(weights, log_curve, 1), sd, np.tensordot(weights, angles, 1)
+
+
+def _nearest(nodes: Floats, x: float) -> Places:
+    """Places of the NEIGHBOURS nearest."""
+    return np.sort(np.argsort(np.abs(nodes - x), kind="stable")[:NEIGHBOURS])
+
+
+def _about(nodes: Floats, x: float) -> Places:
+    """Of half of them on each side: where nodes lie dense on one, the nearest would all be there."""
+    first = int(np.clip(np.searchsorted(nodes, x) - NEIGHBOURS // 2, 0, max(nodes.size - NEIGHBOURS, 0)))
+    return np.arange(first, min(first + NEIGHBOURS, nodes.size))
+
+
+def lagrange(nodes: Floats, x: float, near: Places | None = None) -> Floats:
+    """Weights of the values at `nodes` in their interpolating polynomial at x, by the nearest or by those `near`."""
+    near = _nearest(nodes, x) if near is None else near
     weights = np.zeros(nodes.size)
     for i in near:
         others = nodes[near[near != i]]
