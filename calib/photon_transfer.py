@@ -11,6 +11,8 @@ Array = NDArray[np.float64]
 
 _BINS = 20
 _PER_BIN = 50
+_FEWEST, _SPREAD = 5, 2.0
+"""Levels of brightness, and their range, from which a power of the signal can be told."""
 _CLIP_SD = 4.0
 _CLIPPED_SHARE = 0.99893
 """Variance left of a normal distribution when all beyond 4 sd is cut off."""
@@ -23,6 +25,8 @@ class Gain(NamedTuple):
 
     e_per_dn: float
     rel_sd: float
+    power: float = np.nan
+    """Of the signal by which the variance rises: 1 is photon noise, 2 light that itself changes from frame to frame."""
 
 
 def thinned(values: NDArray[Any]) -> NDArray[Any]:
@@ -58,7 +62,7 @@ def pair_gain(shorter: Array, longer: Array, read_var_dn: float) -> Gain | None:
     """
     total = shorter + longer
     order = np.argsort(total)
-    inverse_gains, weights = [], []
+    inverse_gains, weights, signals = [], [], []
     for members in np.array_split(order, min(_BINS, max(1, len(order) // _PER_BIN))):
         if len(members) < _PER_BIN:
             continue
@@ -69,10 +73,19 @@ def pair_gain(shorter: Array, longer: Array, read_var_dn: float) -> Gain | None:
         shot = clipped_variance(b - rho * a) - (1 + rho**2) * read_var_dn
         scale = rho * float(np.mean(total[members]))
         inverse_gains.append(shot / scale)
+        signals.append(scale)
         weights.append(len(members) / (1 + (1 + rho**2) * read_var_dn / max(shot, 1e-9)) ** 2)
     if not weights:
         return None
     inverse = float(np.average(inverse_gains, weights=weights))
     if not inverse > 0:
         return None
-    return Gain(1 / inverse, float(np.sqrt(2 / np.sum(weights))))
+    return Gain(1 / inverse, float(np.sqrt(2 / np.sum(weights))), _power(np.array(signals), np.array(inverse_gains)))
+
+
+def _power(signal: Array, inverse_gain: Array) -> float:
+    """The power of the signal by which the variance rises; NaN where the signals are too much alike."""
+    told = inverse_gain > 0
+    if told.sum() < _FEWEST or signal[told].max() < _SPREAD * signal[told].min():
+        return np.nan
+    return float(1 + np.polyfit(np.log(signal[told]), np.log(inverse_gain[told]), 1)[0])

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bssrdf.calib import Comparison, Exposed, LocalRatios
+from bssrdf.calib import Comparison, Exposed, Gain, LocalRatios
 from bssrdf.errors import InputError
 from bssrdf.measure.bracket import Bracket
 from bssrdf.measure.levels import Level
@@ -31,6 +31,11 @@ _MOST_PAIRS, _LEAST_PAIRS = 0.7, 3
 """where this share of the pairs of frames, and so many, have one like it,"""
 _MILD_GAMMA = 0.06
 """or all of these one that is off by this: the lamp and bend of the real bracket of the tests make it 0.04."""
+_PHOTONS = 0.1
+"""How near to 1 the power is by which photon noise rises with light: with light that boils it is 1.15 as soon as a
+fifth of the variance is not that of photons."""
+_OTHER_GAIN, _GAIN_SD = float(np.log(1.2)), 6.0
+"""A third of a stop of ISO is 1.26."""
 _DOUBLES_K = 6.5
 """Dark current of silicon doubles in 6 to 7 K around room temperature (band gap 1.12 eV)."""
 _NOTICED_K = 1.0
@@ -117,6 +122,24 @@ def check_even(shorter: Level, longer: Level, local: LocalRatios, whole: float) 
         f"{longer.files[0]}: shows around pixel ({x:.0f}, {row}) {times:.2g} times the light of {shorter.files[0]}, "
         "over that in the whole; take both again (a file that was cut, a shutter half open, a picture that moved?)"
     )
+
+
+def check_gains(gains: Mapping[str, Gain | None], files: Mapping[str, str]) -> None:
+    """InputError where photon noise says that the kinds of frames were taken at different gains.
+
+    Light that boils makes noise too, but of a higher power of the signal; and so does a filter that smooths pictures.
+    """
+    told = {kind: gain for kind, gain in gains.items() if gain and abs(gain.power - 1) < _PHOTONS}
+    if len(told) < 2:
+        return
+    (kind, one), (other, two) = sorted(told.items(), key=lambda item: item[1].e_per_dn)
+    apart, sd = float(np.log(two.e_per_dn / one.e_per_dn)), float(np.hypot(one.rel_sd, two.rel_sd))
+    if apart > max(_OTHER_GAIN, _GAIN_SD * sd):
+        raise InputError(
+            f"{files[kind]}: a DN of the {kind} is {one.e_per_dn:.3g} electrons by its noise, one of the {other} "
+            f"{two.e_per_dn:.3g}: they were taken at different gains (ISO), or their numbers were scaled; take both "
+            "anew with one setting"
+        )
 
 
 def _name(frame: Exposed) -> tuple[str, float]:

@@ -31,7 +31,7 @@ from bssrdf.calib import (
 from bssrdf.errors import InputError
 from bssrdf.measure.bracket import Bracket
 from bssrdf.measure.first_look import MARGIN, first_guess
-from bssrdf.measure.frame_checks import LEAST_PLACES, check_even, check_light, is_blunder
+from bssrdf.measure.frame_checks import LEAST_PLACES, check_even, check_gains, check_light, is_blunder
 from bssrdf.measure.hdr import Progress
 from bssrdf.measure.levels import Correction, Level, beside, levels_of
 from bssrdf.measure.pixels import places
@@ -80,7 +80,8 @@ class _Found:
     """What the levels and the pairs of neighbouring ones told."""
 
     frames: list[Exposed] = field(default_factory=list)
-    gains: list[Gain] = field(default_factory=list)
+    gains: dict[str, list[Gain]] = field(default_factory=dict)
+    """By kind."""
     comparisons: list[Comparison] = field(default_factory=list)
     light: dict[tuple[int, int], float] = field(default_factory=dict)
     """Logarithm of the ratio of the light of two frames, roughly."""
@@ -109,8 +110,8 @@ def learn_camera(brackets: Sequence[Bracket], camera: Camera, period: int, progr
     gain = camera.gain_e_per_dn
     gain_rel_sd = np.nan
     if gain is None:
-        estimate = _mean_gain(found.gains)
-        gain, gain_rel_sd = estimate or Gain(sensor.gain_e_per_dn, np.nan)  # the first guess
+        estimate = _mean_gain([each for of_kind in found.gains.values() for each in of_kind])
+        gain, gain_rel_sd, _ = estimate or Gain(sensor.gain_e_per_dn, np.nan)  # the first guess
         if estimate is None:
             flags.append(Flag.GAIN_UNKNOWN)
     read_noise_e = camera.read_noise_e
@@ -161,7 +162,7 @@ def _compare(
         for level in levels_of(bracket, sensor):
             lit = lit or bool(level.unsaturated(sensor).any())
             found.frames.append(exposed[level.label_s])
-            found.gains += [level.gain] if level.gain else []
+            found.gains.setdefault(bracket.kind, []).extend([level.gain] if level.gain else [])
             if done:
                 _compare_pair(found, done[-1], level, sensor, period)
                 done[-1] = replace(done[-1], signal=np.zeros(0, np.float32), brightest=np.zeros(0))
@@ -177,6 +178,9 @@ def _compare(
     check_light(found.frames, found.comparisons, found.light, found.levels, float(np.sqrt(sensor.read_var_dn())))
     for line in found.moved_far:
         raise InputError(line)
+    if not found.moved:
+        gains = {kind: _mean_gain(each) for kind, each in found.gains.items()}
+        check_gains(gains, {kind: levels[0].files[0] for kind, levels in found.levels.items()})
     return found
 
 
@@ -225,7 +229,7 @@ def _compare_pair(found: _Found, before: Level, level: Level, sensor: Sensor, pe
     if before.n_frames == level.n_frames == 1:
         x, y = (plane[chosen].astype(float) for plane in (a, b))
         gain = pair_gain(x, y, sensor.read_var_dn() * (1 + 1 / level.n_darks)) if x.sum() > 0 and y.sum() > 0 else None
-        found.gains += [gain] if gain else []
+        found.gains[found.frames[second].kind] += [gain] if gain else []
     one = (..., 1) if a.ndim == 3 else ...
     light = [float(plane[chosen].sum(dtype=float)) for plane in (a, b)]
     times = np.float32(light[1] / light[0]) if min(light) > 0 else None
@@ -269,7 +273,9 @@ def _mean_gain(gains: Sequence[Gain]) -> Gain | None:
         return None
     weights = [1 / gain.rel_sd**2 for gain in gains]
     inverse = np.average([1 / gain.e_per_dn for gain in gains], weights=weights)
-    return Gain(float(1 / inverse), float(np.sum(weights) ** -0.5))
+    told = [(gain.power, weight) for gain, weight in zip(gains, weights, strict=True) if np.isfinite(gain.power)]
+    power = sum(power * weight for power, weight in told) / sum(weight for _, weight in told) if told else np.nan
+    return Gain(float(1 / inverse), float(np.sum(weights) ** -0.5), power)
 
 
 def _corrections(
@@ -287,12 +293,12 @@ def _corrections(
 
 
 def _hot(brackets: Sequence[Bracket], sensor: Sensor) -> NDArray[np.bool_]:
-    """Pixels whose dark signal in the longest exposure stands far out."""
+    """Pixels whose dark signal in the longest exposure stands far out: hot ones, and dead ones far below black."""
     longest = max((bracket.darks[-1][0] for bracket in brackets), key=lambda dark: dark.exposure_s)
     dark = brackets[0].read(longest).astype(np.float32)
     excess = dark - np.float32(np.median(thinned(dark)))
     noise = np.sqrt(clipped_variance(thinned(excess).astype(float)) + 3 * sensor.quantisation_var_dn())
-    return np.asarray(excess > _HOT_SD * max(noise, np.finfo(np.float32).tiny))
+    return np.asarray(np.abs(excess) > _HOT_SD * max(noise, np.finfo(np.float32).tiny))
 
 
 def _flags(

@@ -17,14 +17,23 @@ from bssrdf.measure.image import Image
 from bssrdf.measure.pixels import mosaic_period
 from bssrdf.measure.profile import Points, RadialProfile, bin_edges, profile
 from bssrdf.measure.pyramid import Blocks
-from bssrdf.measure.tail import Estimate, Surroundings, Tail, fit_tail
+from bssrdf.measure.tail import (
+    ATTENUATION_REL_SD,
+    Boundary,
+    Estimate,
+    Surroundings,
+    Tail,
+    TailFit,
+    fit_tail,
+)
 from bssrdf.session.records import Array, ChannelSlice
 
 _BAND_PX = 10
 _BLOCKS_IN_BAND = 16
 """Blocks across a band of a slice, at least."""
 _GLARE_PASSES = 2
-_FLOOR_SD = 3.0
+_FLOOR_SD = 2.0
+"""What is less clear may be missed: its error in R is then that of the tail."""
 _FITS = 3.0
 """χ² per degree of freedom up to which a tail has the form of diffusion: 0.3 to 1.4 on the bench, 50 and more where it
 has not, and a floor would only make up for that."""
@@ -105,8 +114,8 @@ def total_light(
     if glare and per_light is not None:
         for _ in range(_GLARE_PASSES):
             if fit is not None:
-                attenuation = surroundings.attenuation_by_mfp((inside + outside_of(fit.tail)) * per_light)
-                fit = fit_tail(*where, with_floor=True, attenuation=attenuation, holder=holder)
+                reflects = (inside + outside_of(fit.tail)) * per_light
+                fit = _with_floor(where, surroundings, reflects, surroundings.attenuation_rel_sd(reflects))
     if fit is None:
         return TotalReflectance(inside, float(np.sqrt(variance)), 0.0, Estimate(0.0, 0.0), within)
     outside = fit.estimate(outside_of)
@@ -120,13 +129,25 @@ def evident_floor(
     image: Image, spot: Spot, surroundings: Surroundings, total: TotalReflectance, per_light: float
 ) -> Estimate | None:
     """The even floor [DN/s], of either sign, that lies under the tail of a curve clear of its error; None if none."""
-    attenuation = surroundings.attenuation_by_mfp(total.light * per_light)
+    reflects = total.light * per_light
     where = total.profile, float(np.hypot(*image.outline(spot)).min()), surroundings.boundary()
-    fit = fit_tail(*where, with_floor=True, attenuation=attenuation, holder=surroundings.holder)
-    if fit is None or fit.chi2 > _FITS:
-        return None
-    floor = fit.estimate(lambda tail: tail.floor)
-    return floor if abs(floor.value) > _FLOOR_SD * floor.sd else None
+
+    def floor_at(rel_sd: float) -> Estimate | None:
+        fit = _with_floor(where, surroundings, reflects, rel_sd)
+        floor = fit.estimate(lambda tail: tail.floor) if fit is not None and fit.chi2 <= _FITS else None
+        return floor if floor and abs(floor.value) > _FLOOR_SD * floor.sd else None
+
+    # How well the total tells the attenuation takes as long as the fit: asked only where there seems to be a floor.
+    return floor_at(ATTENUATION_REL_SD) and floor_at(surroundings.attenuation_rel_sd(reflects))
+
+
+def _with_floor(
+    where: tuple[RadialProfile, float, Boundary], surroundings: Surroundings, reflects: float, rel_sd: float
+) -> TailFit | None:
+    """The tail over a floor, told apart by what the total says of the attenuation, as far as it does."""
+    attenuation = surroundings.attenuation_by_mfp(reflects) if np.isfinite(rel_sd) else None
+    holder = surroundings.holder
+    return fit_tail(*where, with_floor=True, attenuation=attenuation, attenuation_rel_sd=rel_sd, holder=holder)
 
 
 def doubted(total: TotalReflectance, without: TotalReflectance, floor: Estimate) -> tuple[TotalReflectance, bool]:

@@ -47,6 +47,8 @@ _DISAGREE_PER_SINE = 0.6
 _LEAST_BINS = 10
 _CORE_LOW, _CORE_HIGH = 0.9, 1.4
 """The spot on a tile looks as wide as the beam or somewhat wider: within these its own spread need not be fitted."""
+_SURE_SD = 6.0
+"""Of a floor below 0: the light of a white tile in a small frame departs from the form of diffusion by 3 to 4."""
 _SPOT_SD, _SPOT_REL = 3.0, 0.2
 _ALIASED = 0.003
 """Of the light of a colour, missed or seen twice between the filters: as much as a good tile is uncertain by."""
@@ -201,9 +203,9 @@ def _light(
 ) -> tuple[TotalReflectance, list[str]]:
     """All light of an image in a channel, what an even floor under it does allowed for, and the flags of that.
 
-    1/KΦ is `per_light`, or what makes the light of a surface that `reflects` so much. Glare only adds: a floor below
-    0 is that of darks brighter than black in the frames, and goes; one above 0 stays, unless it was asked for, and is
-    doubted.
+    1/KΦ is `per_light`, or what makes the light of a surface that `reflects` so much. Glare only adds: a floor surely
+    below 0 is that of darks brighter than black in the frames, and goes; any other stays, unless it was asked for, and
+    is doubted.
     """
     within = light_within(image, channel, spot)
     total = total_light(image, spot, within, around, glare=False)
@@ -216,10 +218,10 @@ def _light(
     if floor is None:
         return total, []
     without = total_light(image, spot, within, around, glare=True, per_light=per_light)
-    if floor.value < 0:
+    if floor.value < -_SURE_SD * floor.sd:
         return without, [Flag.BLACK_OFFSET]
     total, notable = doubted(total, without, floor)
-    return total, [Flag.GLARE] if notable else []
+    return total, [Flag.GLARE] if notable and floor.value > 0 else []
 
 
 def _plausible(total: float, channel: str, session: Session, found: Sequence[str]) -> float:

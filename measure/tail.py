@@ -32,7 +32,9 @@ _MODEL_FREEDOM = 4
 _LEAST_BINS = 8
 _OUTERMOST = 4
 """One in so many bins, the farthest, tells a floor below 0 to begin with: darks brighter than black make one."""
-_ATTENUATION_REL_SD = 0.03
+ATTENUATION_REL_SD = 0.03
+_TOTAL_REL_SD = 0.01
+"""As a tile's reflectance is known."""
 _MOST_STEP = 0.01
 """A parameter that nothing tells has an error without bound; its slope is taken over no more than this."""
 _LONGEST = 1.0
@@ -94,6 +96,16 @@ class Surroundings(NamedTuple):
             return float(np.exp(np.interp(-total, -totals, np.log(q))))
 
         return attenuation
+
+    def attenuation_rel_sd(self, total: float) -> float:
+        """Relative error of that attenuation; infinite where the total is that of a medium without absorption.
+
+        By the error of the form, and that of the total: the nearer to white, the less it tells of what little is lost.
+        """
+        brighter = total * (1 + _TOTAL_REL_SD)
+        if brighter >= self._seen(_LOG_LOSS[0]):
+            return np.inf
+        return float(np.hypot(ATTENUATION_REL_SD, np.log(self.attenuation(total) / self.attenuation(brighter))))
 
     @functools.lru_cache(maxsize=32)  # noqa: B019 - a tuple of numbers, and few of them
     def loss(self, total: float) -> float:
@@ -219,6 +231,7 @@ def fit_tail(
     *,
     with_floor: bool,
     attenuation: Callable[[float], float] | None = None,
+    attenuation_rel_sd: float = ATTENUATION_REL_SD,
     holder: Holder = _DEEP,
 ) -> TailFit | None:
     """The tail of a curve seen round a beam that is `reach` from the nearest edge; None where there is too little.
@@ -257,7 +270,7 @@ def fit_tail(
         by_curve = (make(p)(r) - value) / sd
         if attenuation is None:
             return by_curve
-        return np.append(by_curve, (p[1] + p[2] - np.log(attenuation(float(np.exp(p[2]))))) / _ATTENUATION_REL_SD)
+        return np.append(by_curve, (p[1] + p[2] - np.log(attenuation(float(np.exp(p[2]))))) / attenuation_rel_sd)
 
     solved = least_squares(residual, start, low, high, longest=_LONGEST)
     covariance = np.asarray(np.linalg.pinv(solved.slopes.T @ solved.slopes), float)

@@ -82,6 +82,7 @@ def test_photon_transfer_finds_gain_and_read_noise():
         gain = pair_gain(signal(light, rng).astype(float), signal(light * ratio, rng).astype(float), read_var / 2 * 2)
         assert gain.e_per_dn == pytest.approx(SENSOR.gain_e_per_dn, rel=5 * gain.rel_sd)
         assert gain.rel_sd < 0.01
+        assert gain.power == pytest.approx(1, abs=0.05)
     pattern = rng.normal(0, 20, (300, 300))
     darks = [np.rint(512 + pattern + rng.normal(0, 2, pattern.shape)) for _ in range(2)]
     assert read_noise_dn(*darks) == pytest.approx(np.hypot(2, 12**-0.5), rel=0.02)

@@ -27,7 +27,7 @@ from bssrdf.measure.levels import Level
 from bssrdf.measure.profile import RadialProfile
 from bssrdf.measure.session import measure_session
 from bssrdf.measure.slice import SliceOptions, measure_slice
-from bssrdf.measure.tail import Boundary, Tail, fit_tail
+from bssrdf.measure.tail import Boundary, Surroundings, Tail, fit_tail
 from bssrdf.session.constancy import check_constant
 from bssrdf.session.records import Beam, Camera, Card, Frame, Geometry, Material, Reference, Session, Slice
 
@@ -185,6 +185,43 @@ def test_a_pixel_that_is_stuck_at_white_in_the_dark_too_is_hot_and_no_glint(sess
     assert not {"glint", "saturated"} & set(found.flags)
 
 
+def test_rows_that_are_dead_in_the_dark_too_tell_nothing(session: Session) -> None:
+    change(session, "*", lambda raw: np.where(np.arange(len(raw))[:, None] % 50 == 7, 0, raw).astype(np.uint16))
+    assert holds(measure_session(session).slice)
+
+
+@pytest.mark.parametrize("gain", [1.26, 2.0])
+@pytest.mark.parametrize("kind", ["sample", "reference"])
+def test_kinds_of_frames_whose_noise_is_of_different_gains_are_refused(
+    session: Session, kind: str, gain: float
+) -> None:
+    """Another ISO, in files that do not say it."""
+    black, white = scene().sensor.black_dn, scene().sensor.white_dn
+    rng = np.random.default_rng(0)
+
+    def amplified(raw: NDArray) -> NDArray:
+        return np.clip(np.floor(black + gain * (raw - float(black)) + rng.random(raw.shape)), 0, white).astype(
+            np.uint16
+        )
+
+    change(session, f"{kind}_*", amplified)
+    refused(session, rf"{kind}_0_0\.tif: a DN of the {kind} is .* electrons by its noise")
+
+
+@pytest.mark.parametrize("boils", [0.01, 0.03])
+def test_light_that_boils_is_no_other_gain(session: Session, boils: float) -> None:
+    """Speckle of a laser on milk: its noise rises with the square of the light."""
+    black, white = scene().sensor.black_dn, scene().sensor.white_dn
+    rng = np.random.default_rng(0)
+
+    def boiling(raw: NDArray) -> NDArray:
+        light = (raw - float(black)) * (1 + boils * rng.standard_normal(raw.shape))
+        return np.where(raw >= white, white, np.clip(np.rint(black + light), 0, white)).astype(np.uint16)
+
+    change(session, "sample_[0-9]*", boiling)
+    assert holds(measure_session(session).slice)
+
+
 def test_a_glint_in_the_spot_itself_is_saturation(session: Session) -> None:
     height, width = scene().sensor.shape
     change(session, "sample_[0-9]*", bright(slice(height // 2, height // 2 + 1), slice(width // 2, width // 2 + 1)))
@@ -219,6 +256,12 @@ def test_step_of_data_scaled_to_a_container_is_that_of_the_camera(scale: float) 
     stored[5, 5:15] = np.rint(stored[5, 4:14] / 2.0 + stored[5, 6:16] / 2.0)  # pixels interpolated by the camera
     assert step_dn(stored) == pytest.approx(scale, abs=1)
     assert step_dn(stored.astype(np.float32) / 65535) == pytest.approx(scale / 65535, rel=0.02, abs=1 / 65535)
+
+
+def test_the_whiter_a_medium_the_less_its_total_tells_of_its_decay() -> None:
+    around = Surroundings(1.35, 0.0, 45.0, 0.0)
+    darker, brighter, white = (around.attenuation_rel_sd(total) for total in (0.2, 0.9, 1.01))
+    assert darker < brighter / 2 < white == np.inf
 
 
 def test_floor_deeper_than_the_curve_is_found() -> None:
