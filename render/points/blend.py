@@ -10,17 +10,25 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial import cKDTree
 
+from bssrdf.render.interface import transmittance_table
+from bssrdf.render.points.kernel import Kernels, cosines
 from bssrdf.render.points.record import BodySurface, Entered, Floats, Integers
-from bssrdf.render.points.walk import Inside, walked
+from bssrdf.render.points.walk import Inside, Walked, walked
 
-_NEIGHBOURS = 64
-"""Places in a mean."""
-_RADIUS = 1.5
-"""Of a mean, over the distance between places: about 28 count."""
+_NEIGHBOURS = 160
+"""Places in a mean, at most."""
+_RADII = (4.0, 2.0, 1.0)
+"""Of means, over the distance between places: about 200, 50 and 12 count."""
+_WANTED = 0.015
+"""Relative standard error at which half of what a narrower mean adds is believed."""
+PLACES = 6000
+"""That walks start from, on a body that has room for more."""
+_BENT = 3e-4
+"""Bend of a neighbourhood from which on walks count in full; less is a plane to points, within 0.5 %."""
 _BETWEEN = 4
 """Places that a vertex lies between."""
 _DEPOSIT = 7
-"""Vertices that share light which entered between them."""
+"""Places of vertices that share light which entered between them."""
 
 
 def mended(
@@ -30,36 +38,85 @@ def mended(
     exitance: Floats,
     even: Floats,
     *,
-    spacing: float,
     walks: int,
     seed: int = 0,
 ) -> Floats:
     """Radiant exitance of each vertex of a closed body, (n, channels), from that of points.
 
-    Args: even: what the table returns of even light over that along the normal, (channels,); spacing: of the places
-    that `walks` walks per channel start from.
+    Args: even: what the table returns of even light over that along the normal, (channels,); walks: per channel, from
+    each of the places. Where a body is flat and thick the light of points stays as it is.
     """
-    light = shifted(surface, entered.table / even, entered.direction, 1 / (inside.sigma_a + inside.sigma_sp))
+    spacing = place_spacing(surface, inside)
     chosen = sparse_faces(surface, spacing, seed)
     corners = surface.faces[chosen]
     places, normals = surface.vertices[corners].mean(axis=1), surface.normals[corners].mean(axis=1)
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
-    found = walked(surface, light, inside, places, normals, walks=walks, seed=seed).mean
-    missing = found - exitance[corners].mean(axis=1)
-    tree = cKDTree(places)
-    missing = _mean_around(tree, places, normals, missing, normals, _NEIGHBOURS, _RADIUS * spacing)
-    missing = _mean_around(tree, surface.vertices, surface.normals, missing, normals, _BETWEEN, spacing / 2)
-    return np.maximum(exitance + missing, 0)
+    bent = np.minimum(_Near(places, normals, places, normals, _NEIGHBOURS).bend() / _BENT, 1)
+    rows = np.flatnonzero(bent > 0)
+    if len(rows) == 0:
+        return exitance
+    light = shifted(surface, entered.table / even, entered.direction, 1 / (inside.sigma_a + inside.sigma_sp))
+    found = walked(surface, light, inside, places[rows], normals[rows], walks=walks, seed=seed)
+    around = _Near(places[rows], normals[rows], places[rows], normals[rows], _NEIGHBOURS)
+    missing = np.zeros((len(places), exitance.shape[1]))
+    missing[rows] = bent[rows, None] * _quiet(around, found, exitance[corners[rows]].mean(axis=1), spacing)
+    between = _Near(places, normals, surface.vertices, surface.normals, _BETWEEN)
+    return np.maximum(exitance + between.mean(missing, spacing / 2), 0)
 
 
-def _mean_around(
-    tree: cKDTree, at: Floats, facing: Floats, values: Floats, normals: Floats, most: int, radius: float
-) -> Floats:
-    """Mean of the values at the tree's points near each place, on its side of the body; (k, channels)."""
-    apart, near = tree.query(at, range(1, min(most, len(values)) + 1))
-    aligned = np.maximum(np.einsum("ijk,ik->ij", normals[near], facing), 1e-6)
-    weight = aligned * np.exp(-0.5 * (np.square(apart) - np.square(apart[:, :1])) / radius**2)
-    return np.asarray(np.einsum("ij,ijc->ic", weight / weight.sum(axis=1, keepdims=True), values[near]))
+def even_return(inside: Inside, table: Kernels) -> Floats:
+    """What comes out of even light that entered, over R of light along the normal, (channels,)."""
+    mu, entering = cosines(), transmittance_table(inside.eta, inside.alpha)
+    by_medium = np.trapezoid(table.lobe * entering * mu, mu, axis=1) / np.trapezoid(entering * mu, mu)
+    return np.interp(inside.sigma_sp / (inside.sigma_a + inside.sigma_sp), table.albedo, by_medium)
+
+
+def _quiet(around: _Near, found: Walked, flat: Floats, spacing: float) -> Floats:
+    """What points miss at each place, (k, channels): over so wide a neighbourhood as its noise asks for."""
+    missing = found.mean - flat
+    wide = around.mean(missing, _RADII[0] * spacing)
+    for radius in _RADII[1:]:
+        fine, noise = around.mean(missing, radius * spacing), around.variance(found.variance, radius * spacing)
+        light = np.maximum(flat + fine, 0.1 * flat.mean(axis=0))
+        trusted = 1 / (1 + (noise / np.square(_WANTED * light)).mean(axis=1, keepdims=True))
+        wide = wide + trusted * (fine - wide)
+    return wide
+
+
+def place_spacing(surface: BodySurface, inside: Inside) -> float:
+    """A third of the way that light spreads, less where the body is small; so wide that PLACES are about enough."""
+    area = float(surface.triangle_areas().sum())
+    corners = surface.vertices[surface.faces]
+    volume = abs(float(np.einsum("ij,ij->", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])))) / 6
+    sigma_tp = inside.sigma_a + inside.sigma_sp
+    spread = float(1 / np.sqrt(3 * inside.sigma_a * sigma_tp).max()) if inside.sigma_a.max() > 0 else np.inf
+    fine = max(min(spread, volume / area) / 3, 0.5 / float(sigma_tp.mean()))
+    return max(fine, float(np.sqrt(area / PLACES)))
+
+
+class _Near:
+    """The places near others, on their side of the body."""
+
+    def __init__(self, places: Floats, normals: Floats, at: Floats, facing: Floats, most: int) -> None:
+        self._apart, self._near = cKDTree(places).query(at, range(1, min(most, len(places)) + 1))
+        self._cosines = np.einsum("ijk,ik->ij", normals[self._near], facing)
+        self._aligned = np.maximum(self._cosines, 1e-6)
+
+    def bend(self) -> Floats:
+        """Mean of 1 less the cosine between the normals, (k,): 0 on a plane, 2 where a thin part's other side is."""
+        return np.asarray(1 - self._cosines.mean(axis=1))
+
+    def mean(self, values: Floats, radius: float) -> Floats:
+        return np.asarray(np.einsum("ij,ijc->ic", self._weights(radius), values[self._near]))
+
+    def variance(self, values: Floats, radius: float) -> Floats:
+        """Of the mean, from those of independent values."""
+        return np.asarray(np.einsum("ij,ijc->ic", np.square(self._weights(radius)), values[self._near]))
+
+    def _weights(self, radius: float) -> Floats:
+        nearest = self._apart[:, :1]
+        weight = self._aligned * np.exp(-0.5 * (np.square(self._apart) - np.square(nearest)) / radius**2)
+        return weight / weight.sum(axis=1, keepdims=True)
 
 
 def shifted(surface: BodySurface, light: Floats, direction: Floats, path: Floats) -> Floats:
@@ -68,21 +125,22 @@ def shifted(surface: BodySurface, light: Floats, direction: Floats, path: Floats
     Walks take all light to enter as even light does. To first order what enters slantwise differs by where it
     begins to diffuse: 1/σt′ along its mean direction (n, 3).
     """
-    area = surface.areas()
+    first, place = surface.places()
+    area = np.asarray(np.bincount(place, surface.areas()), np.float64)
     normals = surface.normals
     sideways = direction - np.einsum("ij,ij->i", direction, normals)[:, None] * normals
     lit = np.flatnonzero(light.any(axis=1))
-    tree = cKDTree(surface.vertices)
+    tree = cKDTree(surface.vertices[first])
     moved = light.copy()
     for channel, length in enumerate(path.tolist()):
-        flux = light[lit, channel] * area[lit]
+        flux = light[lit, channel] * surface.areas()[lit]
         for at, sign in ((surface.vertices[lit] + length * sideways[lit], 1.0), (surface.vertices[lit], -1.0)):
-            moved[:, channel] += sign * _deposited(tree, area, at, flux)
+            moved[:, channel] += sign * _deposited(tree, area, at, flux)[place]
     return moved
 
 
 def _deposited(tree: cKDTree, area: Floats, at: Floats, flux: Floats) -> Floats:
-    """Per area of the vertices near each place."""
+    """Per area of the places near each."""
     apart, near = tree.query(at, _DEPOSIT)
     weight = area[near] * (np.square(1 - np.square(apart / apart[:, -1:])) + 1e-12)  # none for the last, which may tie
     weight *= (flux / weight.sum(axis=1))[:, None]

@@ -15,7 +15,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from bssrdf.render.interface import TABLE_SIZE, refract_in, sample_phase, transmittance_table
+from bssrdf.render.interface import refract_in, sample_phase, transmittance_table
 from bssrdf.render.points.leap import DRAWS, FIELDS, RADII, room_grid, stored_leaps
 from bssrdf.render.points.record import BodySurface, Floats
 
@@ -29,7 +29,7 @@ _LANES = 1 << 16
 
 @dataclass(frozen=True)
 class Inside:
-    """What light meets in a body: one value a channel, and the boundary."""
+    """What light meets in a body: one value per channel, and the boundary."""
 
     sigma_a: Floats
     """(channels,)."""
@@ -66,14 +66,15 @@ def walked(
     """
     body = _Body(surface, light, inside)
     channels = len(inside.sigma_a)
-    split = max(1, min(walks // 4, _LANES // (len(places) * channels)))
+    split = max(1, min(walks // 4, _LANES // len(places)))
     each = -(-walks // split)
     total, squares = np.zeros((2, len(places), channels))
-    size = max(1, _LANES // (split * channels))
+    size = max(1, _LANES // split)
     for low in range(0, len(places), size):
         rows = slice(low, low + size)
-        sums = _lanes(body, places[rows], normals[rows], channels, split, each, seed + 7919 * low)
-        total[rows], squares[rows] = (part.reshape(-1, channels, split).sum(axis=2) for part in sums)
+        for channel in range(channels):  # of the same random numbers: noise has little colour then
+            sums = _lanes(body, channel, places[rows], normals[rows], split, each, seed + 7919 * low)
+            total[rows, channel], squares[rows, channel] = (part.reshape(-1, split).sum(axis=1) for part in sums)
     n = each * split
     mean = total / n
     return Walked(mean, np.maximum(squares / n - mean**2, 0) / max(n - 1, 1))
@@ -95,15 +96,13 @@ class _Walk:
 
 
 def _lanes(
-    body: _Body, places: Floats, normals: Floats, channels: int, split: int, walks: int, seed: int
+    body: _Body, channel: int, places: Floats, normals: Floats, split: int, walks: int, seed: int
 ) -> tuple[Floats, Floats]:
-    """Sums over the walks of each lane of what they found and of its square: places, channels, `split`."""
-    lanes = len(places) * channels * split
-    index = np.repeat(np.arange(len(places)), channels * split)
+    """Sums over the walks of each lane of what they found, and of its square: places, `split` lanes each."""
+    index = np.repeat(np.arange(len(places)), split)
     sampler = mi.load_dict({"type": "independent"})
-    sampler.seed(seed, lanes)
+    sampler.seed(seed, len(index))
     p, n = mi.Point3f(places[index].T.astype(np.float32)), mi.Normal3f(normals[index].T.astype(np.float32))
-    channel = mi.UInt32(np.arange(lanes) // split % channels)
     optics = body.optics(channel)
     o, d, throughput = body.start(p, n, sampler)
     nothing = mi.Float(0)
@@ -128,7 +127,7 @@ def _lanes(
 
 
 class _Optics(NamedTuple):
-    """Of each lane's channel."""
+    """Of a channel; arrays of one value, so that one kernel serves all media."""
 
     channel: Any
     sigma_t: Any
@@ -150,18 +149,20 @@ class _Body:
         self._light = _floats(light)
         self._channels = light.shape[1]
         sigma_s = inside.sigma_sp / (1 - inside.g)
-        self._sigma_t = _floats(inside.sigma_a + sigma_s)
-        self._albedo = _floats(sigma_s / (inside.sigma_a + sigma_s))
+        self._sigma_t = inside.sigma_a + sigma_s
+        self._albedo = sigma_s / self._sigma_t
         self._eta, self._g = inside.eta, inside.g
-        mu = np.linspace(0, 1, TABLE_SIZE)
-        self._norm = float(2 * np.trapezoid(transmittance_table(inside.eta, inside.alpha) * mu, mu))
+        enters = transmittance_table(inside.eta, inside.alpha)
+        mu = np.linspace(0, 1, len(enters))
+        self._norm = float(2 * np.trapezoid(enters * mu, mu))
         self._slopes = mi.MicrofacetDistribution(mi.MicrofacetType.GGX, inside.alpha, True) if inside.alpha else None
         self._leaps = _floats(stored_leaps(inside.g))
         self._room = room_grid(surface)
         self._rooms = _floats(self._room.room)
 
-    def optics(self, channel: Any) -> _Optics:
-        return _Optics(channel, dr.gather(mi.Float, self._sigma_t, channel), dr.gather(mi.Float, self._albedo, channel))
+    def optics(self, channel: int) -> _Optics:
+        sigma_t, albedo = float(self._sigma_t[channel]), float(self._albedo[channel])
+        return _Optics(dr.opaque(mi.UInt32, channel), dr.opaque(mi.Float, sigma_t), dr.opaque(mi.Float, albedo))
 
     def start(self, p: Any, n: Any, sampler: Any) -> tuple[Any, Any, Any]:
         """Rays into the body; the weight is the transmittance over its mean C."""
