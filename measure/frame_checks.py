@@ -31,11 +31,11 @@ _MOST_PAIRS, _LEAST_PAIRS = 0.7, 3
 """where this share of the pairs of frames, and so many, have one like it,"""
 _MILD_GAMMA = 0.06
 """or all of these one that is off by this: the lamp and bend of the real bracket of the tests make it 0.04."""
-_PHOTONS = 0.1
-"""How near to 1 the power is by which photon noise rises with light: with light that boils it is 1.15 as soon as a
-fifth of the variance is not that of photons."""
-_OTHER_GAIN, _GAIN_SD = float(np.log(1.2)), 6.0
-"""A third of a stop of ISO is 1.26."""
+_PHOTONS, _NEARLY_PHOTONS = 0.1, 0.3
+"""How near to 1 the power is by which photon noise rises with light. With light that boils it is 1.15 as soon as a
+fifth of the variance is not that of photons, 1.3 where it is a third; darks of other numbers make it 0.85."""
+_OTHER_GAIN, _FAR_GAIN, _GAIN_SD = float(np.log(1.2)), float(np.log(1.8)), 6.0
+"""A third of a stop of ISO is 1.26; numbers that were scaled are off by a factor of 4 or more."""
 _DOUBLES_K = 6.5
 """Dark current of silicon doubles in 6 to 7 K around room temperature (band gap 1.12 eV)."""
 _NOTICED_K = 1.0
@@ -129,12 +129,13 @@ def check_gains(gains: Mapping[str, Gain | None], files: Mapping[str, str]) -> N
 
     Light that boils makes noise too, but of a higher power of the signal; and so does a filter that smooths pictures.
     """
-    told = {kind: gain for kind, gain in gains.items() if gain and abs(gain.power - 1) < _PHOTONS}
+    told = {kind: gain for kind, gain in gains.items() if gain and abs(gain.power - 1) < _NEARLY_PHOTONS}
     if len(told) < 2:
         return
     (kind, one), (other, two) = sorted(told.items(), key=lambda item: item[1].e_per_dn)
     apart, sd = float(np.log(two.e_per_dn / one.e_per_dn)), float(np.hypot(one.rel_sd, two.rel_sd))
-    if apart > max(_OTHER_GAIN, _GAIN_SD * sd):
+    by_photons = max(abs(each.power - 1) for each in (one, two)) < _PHOTONS
+    if apart > max(_OTHER_GAIN if by_photons else _FAR_GAIN, _GAIN_SD * sd):
         raise InputError(
             f"{files[kind]}: a DN of the {kind} is {one.e_per_dn:.3g} electrons by its noise, one of the {other} "
             f"{two.e_per_dn:.3g}: they were taken at different gains (ISO), or their numbers were scaled; take both "

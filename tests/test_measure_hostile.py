@@ -208,7 +208,16 @@ def test_kinds_of_frames_whose_noise_is_of_different_gains_are_refused(
     refused(session, rf"{kind}_0_0\.tif: a DN of the {kind} is .* electrons by its noise")
 
 
-@pytest.mark.parametrize("boils", [0.01, 0.03])
+@pytest.mark.parametrize("kind", ["sample", "reference"])
+def test_numbers_at_the_high_end_of_a_container_beside_others_at_its_low_end_are_refused(
+    session: Session, kind: str
+) -> None:
+    change(session, f"{kind}_*", lambda raw: raw * 4)
+    session = replace(session, camera=replace(session.camera, black=None, white=None))
+    refused(session, "or their numbers were scaled|beyond what a sample can reflect")
+
+
+@pytest.mark.parametrize("boils", [0.01, 0.015, 0.02, 0.03])
 def test_light_that_boils_is_no_other_gain(session: Session, boils: float) -> None:
     """Speckle of a laser on milk: its noise rises with the square of the light."""
     black, white = scene().sensor.black_dn, scene().sensor.white_dn
