@@ -168,7 +168,7 @@ def _responses(
         elif error.source == "ratio":
             response = curve_off(laid.samples[k])
         elif error.source == "exit":
-            response = exit_modes(e, model, c, sigma)[error.mode]
+            response = exit_modes(e, sight, model, c, sigma)[error.mode]
         elif error.source == "table":
             waves = waves or _waves(e, model, data, sigma, at.q, k)
             response = waves[error.mode]

@@ -24,6 +24,8 @@ DIPOLE_SHARE = 0.3
 COARSE_ERROR = 0.006
 """Of the tables that ship for unusual media: interpolated between few, they lie 0.2 to 0.7 % off fine ones at 1 to 5
 mean free paths and 1 to 2 % at 18."""
+COARSE_EXIT = 0.03
+"""Likewise of their light across the view, which lies 1 to 4 % off at g 0.8."""
 DIPOLE_BEST = 0.005
 """Relative sd of both coefficients below which nobody need ask: no dipole is right to 0.3 of that."""
 
@@ -102,7 +104,7 @@ def truth_of(piece: Slice, policy: Policy, making: Making) -> Truth | None:
 def _table(eta: float, g: float, making: Making, beam: Incidence = NORMAL) -> WhiteTable:
     table = table_of(table_model(eta, g, beam=beam, announce=making.announce, progress=making.progress))
     coarse = place(eta, g, beam=beam).origin == "shipped" and not tabulated(eta, g)
-    return table._replace(relative_error=COARSE_ERROR) if coarse else table
+    return table._replace(relative_error=COARSE_ERROR, exit_error=COARSE_EXIT) if coarse else table
 
 
 class _Neighbours(Mapping[str, tuple[Light, float]]):

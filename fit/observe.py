@@ -17,11 +17,13 @@ _DARKEST = 1e-6
 """What the exit law falls to at least, where it is a fit that may run below 0 right at the beam."""
 NEAREST_MFP = 1e-3
 """Radii nearer than this are looked at here: light scattered once goes as 1/r."""
-EXIT_AMPLITUDE = 0.003
-"""Of the light across the view: independent walks agree with the tables to 0.2 to 0.6 % (docs/white-tables.md)."""
-EXIT_BY_G = 0.04
-"""Times g²: at g 0.8 a walk scored towards the camera lies 3 to 7 % above the table between 1 and 5 mean free paths in
-skin, 1 to 2 % below in marble, both to 1 %."""
+EXIT_NEAR_MFP = 0.5
+EXIT_BENDS_MFP = 0.2, 4.0
+"""From the first to the second radius the departure turns round."""
+EXIT_NEAR, EXIT_NEAR_STEEP, EXIT_NEAR_BY_G = 0.015, 0.14, 1.5
+"""Of the light towards a camera at EXIT_NEAR_MFP; the second times sin⁴ of the view inside, all times 1 + the third g².
+It falls as the radius: a walk scored at a right angle to the view (bench/camera_walk.py) lies 2 to 8 % off at 0.3 mean
+free paths, 1 to 2 % at 1."""
 EXIT_PIVOT_MFP = 5.0
 _FINE = np.polynomial.legendre.leggauss(12)
 _COARSE = np.polynomial.legendre.leggauss(3)
@@ -181,9 +183,17 @@ def exit_rel_sd(e: Engine, model: Light, c: Curves, sigma: Any) -> Any:
     return model.exit_error_mfp / x * xp.abs(xp.sinc(2 * c.arc / np.pi))
 
 
-def exit_modes(e: Engine, model: Light, c: Curves, sigma: Any) -> tuple[Any, Any]:
-    """What the exit law may be off by at all radii together: by the same, and by what grows as ln r."""
+def exit_modes(e: Engine, sight: Sight, model: Light, c: Curves, sigma: Any) -> tuple[Any, ...]:
+    """What the exit law may be off by at all radii together: by the same, by what grows as ln r, and near the beam by
+    what falls as the radius, to one side and from one side to the other."""
     xp = e.xp
     x = xp.maximum(sigma * (c.r_lo + c.r_hi) / 2, NEAREST_MFP)
-    amplitude = (EXIT_AMPLITUDE + EXIT_BY_G * getattr(model, "g", 0.0) ** 2) * xp.abs(xp.sinc(2 * c.arc / np.pi))
-    return amplitude, amplitude * xp.log(x / EXIT_PIVOT_MFP) / np.log(EXIT_PIVOT_MFP)
+    across = xp.abs(xp.sinc(2 * c.arc / np.pi))
+    amplitude = model.exit_error * across
+    near = EXIT_NEAR + EXIT_NEAR_STEEP * ((1 - sight.cos_view**2) / model.eta**2) ** 2
+    near = near * (1 + EXIT_NEAR_BY_G * getattr(model, "g", 0.0) ** 2)
+    near = near * across * EXIT_NEAR_MFP / xp.maximum(x, EXIT_NEAR_MFP / 2)
+    first, last = EXIT_BENDS_MFP
+    turn = xp.cos(np.pi * xp.clip(xp.log(x / first) / np.log(last / first), 0, 1))
+    grows = xp.log(x / EXIT_PIVOT_MFP) / np.log(EXIT_PIVOT_MFP)
+    return amplitude, amplitude * grows, near, near * np.sqrt(2) * turn

@@ -16,8 +16,8 @@ Constraint = Literal["exact", "soft", "none"]
 Source = Literal["scale", "length", "spot", "view", "exit", "table", "eta", "g", "thickness", "back", "ratio"]
 TABLE_MODES = 4
 """Cosines along ln r by which a table's own noise is shared: more are too fine to look like a change of σa or σs′."""
-EXIT_MODES = 2
-"""Amplitude, and slope in ln r."""
+EXIT_MODES = 4
+"""Amplitude, slope in ln r, and two that fall as the radius."""
 AT_0 = 1e-6
 """Of q: σa is then below 1e-12 of σs′."""
 OF_MEDIUM: tuple[Source, ...] = ("eta", "g")

@@ -58,8 +58,13 @@ class Light(Protocol):
         ...
 
     @property
+    def exit_error(self) -> float:
+        """How far its radiance across the view may be off relative to that, at all radii together."""
+        ...
+
+    @property
     def exit_error_mfp(self) -> float:
-        """How far its radiance across the view may be off relative to that, times the radius in mean free paths."""
+        """The same at each radius for itself, times the radius in mean free paths."""
         ...
 
     def look(self, e: Engine, q: Any, x: Any) -> Look:
@@ -95,7 +100,8 @@ class Dipole(NamedTuple):
     relative_error: float = 0.05
     biased: bool = True
     exit_varies: bool = False
-    exit_error_mfp: float = 0.0  # nothing beside its other errors
+    exit_error: float = 0.0  # nothing beside its other errors
+    exit_error_mfp: float = 0.0
 
     def look(self, e: Engine, q: Any, x: Any) -> Look:
         xp = e.xp
@@ -154,6 +160,7 @@ class WhiteTable(NamedTuple):
     relative_error: float = 0.003
     biased: bool = False
     exit_varies: bool = True
+    exit_error: float = 0.005
     exit_error_mfp: float = 0.008  # docs/white-tables.md
 
     def look(self, e: Engine, q: Any, x: Any) -> Look:
