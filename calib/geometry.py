@@ -14,7 +14,7 @@ from scipy.optimize import least_squares
 from bssrdf.calib.surface import Surface
 from bssrdf.calib.target import Target, find_target, grey
 from bssrdf.errors import InputError
-from bssrdf.session import read_frame_file
+from bssrdf.session import Progress, counted, read_frame_file
 from bssrdf.session.records import Distortion, Geometry
 
 Array = NDArray[np.float64]
@@ -38,14 +38,16 @@ class GeometryCalibration:
     """Width and height of the pictures that the map is for."""
 
 
-def calibrate_geometry(paths: Sequence[Path], target: Target, layout: str | None = None) -> GeometryCalibration:
+def calibrate_geometry(
+    paths: Sequence[Path], target: Target, layout: str | None = None, *, progress: Progress | None = None
+) -> GeometryCalibration:
     """Lens distortion from all images of the target, and where the pixels of the first lie on its plane.
 
     `layout` where the files do not tell their own. Places, not light, are read from them, so that PNG and JPEG serve.
     InputError where an image cannot be read or shows no target.
     """
     points, size = [], (1, 1)
-    for path in paths:
+    for path in counted(paths, "find the target", progress):
         frame = read_frame_file(path, encoded=True)
         points.append(find_target(path, grey(frame.data, layout or frame.layout or "mono"), target))
         before, size = size, (frame.data.shape[1], frame.data.shape[0])

@@ -74,9 +74,11 @@ def geometry(
     It lies on the sample's plane; the first image gives the map.
     """
     from bssrdf.calib import Target, calibrate_geometry
+    from bssrdf.report import steps
 
     target = Target(columns, rows, pitch_mm, kind=kind, dictionary=dictionary)
-    found = calibrate_geometry(images, target, layout)
+    with steps(quiet=is_quiet()) as progress:
+        found = calibrate_geometry(images, target, layout, progress=progress)
     tables = {"geometry": _given(asdict(found.geometry)), "distortion": asdict(found.distortion)}
     _add(out, tables, force)
     click.echo(

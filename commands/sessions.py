@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from bssrdf.commands.console import BAD_INPUT, FOLDER, Command, force_option, fresh, warn
+from bssrdf.commands.console import BAD_INPUT, FOLDER, Command, force_option, fresh, is_quiet, warn
 from bssrdf.commands.key_options import KeyCommand
 
 if TYPE_CHECKING:
@@ -83,22 +83,25 @@ def ingest(
 
     RAW, TIFF or others; exposures come from metadata or from file names.
     """
+    from bssrdf.report import steps
     from bssrdf.session import ingest_folder
 
-    frames = ingest_folder(
-        folder,
-        fresh(out, force),
-        kinds=kinds,
-        select=select,
-        camera=camera,
-        exposure_from=exposure_from,
-        response=response,
-        told={
-            "material": {"name": material, "eta": eta, "g": g},
-            "geometry": {"mm_per_px": mm_per_px, "view_angle_deg": view_angle_deg},
-            "reference": {"reflectance": reference, "reflectance_sd": reference_sd},
-        },
-    )
+    with steps(quiet=is_quiet()) as progress:
+        frames = ingest_folder(
+            folder,
+            fresh(out, force),
+            kinds=kinds,
+            select=select,
+            camera=camera,
+            exposure_from=exposure_from,
+            response=response,
+            told={
+                "material": {"name": material, "eta": eta, "g": g},
+                "geometry": {"mm_per_px": mm_per_px, "view_angle_deg": view_angle_deg},
+                "reference": {"reflectance": reference, "reflectance_sd": reference_sd},
+            },
+            progress=progress,
+        )
     counts = {kind: sum(frame.kind == kind for frame in frames) for kind in sorted({frame.kind for frame in frames})}
     click.echo(f"{out}: " + ", ".join(f"{n} {kind}" for kind, n in counts.items()))
     click.echo(
@@ -110,9 +113,11 @@ def ingest(
 @click.argument("session", type=FOLDER)
 def verify(session: Path) -> None:
     """Check that SESSION is complete and unchanged."""
+    from bssrdf.report import steps
     from bssrdf.session import verify_session
 
-    verified = verify_session(session)
+    with steps(quiet=is_quiet()) as progress:
+        verified = verify_session(session, progress=progress)
     for fault in verified.faults:
         warn(fault)
     if verified.faults:

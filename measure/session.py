@@ -27,6 +27,7 @@ from bssrdf.session import (
     UNNAMED,
     check_constant,
     check_no_copy,
+    counted,
     is_ours,
     read_frames,
     replace_folder,
@@ -108,7 +109,7 @@ def _merged(session: Session, listed: Sequence[Frame], hdr_rel_sd: float | None,
     inputs = inputs_of(session, listed)
     listed = with_cards(session.path, listed, encoded=session.camera.response is not None)
     check_constant(listed, session.path)
-    hashes = {frame.file: sha256_of(session.path / frame.file) for frame in listed}
+    hashes = {frame.file: sha256_of(session.path / frame.file) for frame in counted(listed, "check", progress)}
     check_no_copy(listed, hashes, session.path)
     frames, flags = _without_duplicates(listed, hashes)
     response = session_response(session, frames)

@@ -49,6 +49,8 @@ if TYPE_CHECKING:
     from bssrdf.session.oiio_file import write_png as write_png
     from bssrdf.session.plain import from_plain as from_plain
     from bssrdf.session.plain import to_plain as to_plain
+    from bssrdf.session.progress import Progress as Progress
+    from bssrdf.session.progress import counted as counted
     from bssrdf.session.raw_file import RAW_SUFFIXES as RAW_SUFFIXES
     from bssrdf.session.raw_frame import RawFrame as RawFrame
     from bssrdf.session.raw_frame import by_place as by_place

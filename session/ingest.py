@@ -25,6 +25,7 @@ from bssrdf.session.file_names import (
 from bssrdf.session.frame_files import ENCODED_SUFFIXES, is_frame_name, read_frames_of
 from bssrdf.session.frames_csv import write_frames
 from bssrdf.session.png_file import is_deep
+from bssrdf.session.progress import Progress, counted
 from bssrdf.session.raw_frame import RawFrame
 from bssrdf.session.records import Frame, FrameKind
 from bssrdf.session.session_toml import camera_of_keys, told_tables, write_started
@@ -44,6 +45,7 @@ def ingest_folder(
     exposure_from: str | None = None,
     response: bool = False,
     told: Mapping[str, Mapping[str, Any]] = MappingProxyType({}),
+    progress: Progress | None = None,
 ) -> list[Frame]:
     """Copy the frames below `folder` into a new session `out`; a session that was there is replaced.
 
@@ -63,7 +65,7 @@ def ingest_folder(
     make_folder(out.parent)
     with replace_folder(out) as building:
         frames = []
-        for relative, kind in chosen.items():
+        for relative, kind in counted(chosen.items(), "copy", progress):
             frames += _take(folder, relative, kind, building, source, encoded=response)
         check_constant(frames, folder)
         write_frames(building, frames)

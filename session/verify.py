@@ -11,6 +11,7 @@ from bssrdf.session.atomic import sha256_of
 from bssrdf.session.constancy import differences, exposure_faults, with_cards
 from bssrdf.session.frame_files import read_card
 from bssrdf.session.frames_csv import dark_for, read_frames
+from bssrdf.session.progress import Progress, counted
 from bssrdf.session.records import Frame
 from bssrdf.session.session_toml import UNNAMED, read_session
 
@@ -24,7 +25,7 @@ class Verified(NamedTuple):
     faults: list[str]
 
 
-def verify_session(path: Path) -> Verified:
+def verify_session(path: Path, *, progress: Progress | None = None) -> Verified:
     """Look at the tables of session.toml, and at each frame of frames.csv: there, unchanged, with a dark.
 
     The camera must have been set as for the other frames.
@@ -34,7 +35,7 @@ def verify_session(path: Path) -> Verified:
     frames = read_frames(path, must_exist=False)
     cards = with_cards(path, frames)
     faults = [f"{path / str(fault)}" for fault in (*differences(cards), *exposure_faults(cards))]
-    return Verified(frames, [*_table_faults(path, cards), *_frame_faults(path, frames), *faults])
+    return Verified(frames, [*_table_faults(path, cards), *_frame_faults(path, frames, progress), *faults])
 
 
 def _table_faults(path: Path, frames: Sequence[Frame]) -> Iterator[str]:
@@ -52,8 +53,8 @@ def _table_faults(path: Path, frames: Sequence[Frame]) -> Iterator[str]:
             yield f"{path / 'frames.csv'}: lists no {kind}; add it (without it only `measure --hdr-only` works)"
 
 
-def _frame_faults(path: Path, frames: Sequence[Frame]) -> Iterator[str]:
-    for frame in frames:
+def _frame_faults(path: Path, frames: Sequence[Frame], progress: Progress | None) -> Iterator[str]:
+    for frame in counted(frames, "verify", progress):
         file = path / frame.file
         if not file.is_file():
             yield f"{file}: is not there; put it back or take its line out of frames.csv"
