@@ -13,7 +13,7 @@ from bssrdf.fit.errors import SCATTERED, Judged, judge
 from bssrdf.fit.jobs import BATCH, Job, Options, problem_of
 from bssrdf.fit.models import beside_of
 from bssrdf.fit.problem import Neighbours, Plan, Point, Problem
-from bssrdf.fit.solve import REST, Solution, optimise, settle, start, starts_of
+from bssrdf.fit.solve import NEAR, REST, Solution, optimise, settle, start, starts_of
 from bssrdf.transport.arrays import NUMPY, picked, replaced
 from bssrdf.transport.light import Light
 
@@ -61,14 +61,14 @@ def fit_group(
 ) -> Fitted:
     """Fit jobs of one key, at most BATCH, by one model; with `compile_it` by JAX, which pays for many batches.
 
-    `begin` stands in for all starts, where a medium next to this was fitted.
+    `begin` stands in for all starts, where a medium next to this was fitted and only the cost of this one is wanted.
     """
     aside = beside_of(model, jobs[0].pieces[0])
     plan, data = problem_of(jobs, options, model, aside)
     if begin is None:
         found, rival = _best(plan, model, data, aside, compile_it=compile_it)
     else:
-        found = settle(NUMPY, plan, model, data, begin, aside)
+        found = settle(NUMPY, plan, model, data, begin, aside, rest=NEAR)
         rival = Point(*(np.full_like(each, np.nan) for each in begin))
     found, judged = _eased(plan, model, data, found)
     return Fitted(jobs, options, plan, model, aside, data, found, judged, rival)

@@ -50,9 +50,9 @@ class Judged(NamedTuple):
     drift: Any
     """(b,): largest running mean of the relative residual over a fifth of the window; 0 where below 4 of its sd."""
     answer: tuple[Any, ...]
-    """By slice (b, P, u): δ to a relative change of the data."""
+    """By slice (b, 2, u): (s, q) to a relative change of the data."""
     total_answer: Any
-    """(b, P): δ to a relative change of all R."""
+    """(b, 2): to one of all R."""
     used: tuple[Any, ...]
     """By slice (b, u): whether a radius counts."""
 
@@ -104,10 +104,10 @@ def judge(e: Engine, plan: Plan, model: Light, data: Problem, found: Solution) -
         runs_z=runs_z,
         drift=_drift(e, laid, looks, by, found.shared, grown / found.ease),
         answer=tuple(
-            xp.matmul(answer, x) * (mass * each[0])[:, None, :]
+            xp.matmul(answer[:, :2], x) * (mass * each[0])[:, None, :]
             for x, mass, each in zip(rows, by.mass, looks, strict=True)
         ),
-        total_answer=total_answer,
+        total_answer=total_answer[:, :2],
         used=used,
     )
 

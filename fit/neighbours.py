@@ -47,7 +47,7 @@ def table_error(model: WhiteTable, data: Problem, found: Solution, judged: Judge
         x = np.maximum(np.exp(found.point.log_sigma) * (c.r_lo + c.r_hi) / 2, NEAREST_MFP)
         t = np.clip(np.log1p(x / R_ZERO) / V_MAX, 0, 1) * (knots - 1)
         at = np.minimum(t.astype(int), knots - 2)
-        moved, ahead = to_log(found.point.q) @ judged.answer[k][:, :2], t - at
+        moved, ahead = to_log(found.point.q) @ judged.answer[k], t - at
         left = (at + knots * np.arange(q.shape[0])[:, None]).ravel()
         for of_one, share in zip(by_knot, moved.swapaxes(0, 1), strict=True):
             for knot, part in ((left, share * (1 - ahead)), (left + 1, share * ahead)):
@@ -64,8 +64,8 @@ def sample_error(plan: Plan, found: Solution, judged: Judged) -> Floats:
     moved = np.zeros((found.point.q.shape[0], 2))
     for laid, answer in zip(found.laid.samples, judged.answer, strict=True):
         if laid:
-            moved += ((turn @ answer[:, :2]) * curve_off(laid)[:, None, :]).sum(2)
-    by_total = (turn @ judged.total_answer[:, :2, None])[:, :, 0]
+            moved += ((turn @ answer) * curve_off(laid)[:, None, :]).sum(2)
+    by_total = (turn @ judged.total_answer[:, :, None])[:, :, 0]
     offs = [total_off(found.laid.samples[k]) for k in plan.totals if found.laid.samples[k]]
     return np.abs(moved) + np.abs(by_total) * np.max([np.zeros_like(found.point.q), *offs], axis=0)
 
@@ -80,10 +80,10 @@ def sensitivities(plan: Plan, data: Problem, found: Solution, judged: Judged, be
         moved = np.zeros((point.q.shape[0], 2))
         for k, factor in enumerate(factors):
             change = np.log(np.maximum(aside.curves[k][0], 1e-300) / np.maximum(here.curves[k][0], 1e-300)) + factor
-            moved -= ((to_log(point.q) @ judged.answer[k][:, :2]) * change[:, None, :]).sum(2)
+            moved -= ((to_log(point.q) @ judged.answer[k]) * change[:, None, :]).sum(2)
         for each, k in enumerate(plan.totals):  # none without R, of which one is looked at all the same
             change = np.log(aside.totals[each][0] / here.totals[each][0]) + factors[k]
-            moved -= (to_log(point.q) @ judged.total_answer[:, :2, None])[:, :, 0] * change / len(aside.totals)
+            moved -= (to_log(point.q) @ judged.total_answer[:, :, None])[:, :, 0] * change / len(aside.totals)
         for column, key in enumerate(("sigma_a", "sigma_sp")):
             out[f"d_ln_{key}_d_{name}"] = moved[:, column] / step
     return out

@@ -127,20 +127,22 @@ def starts_of(plan: Plan) -> tuple[tuple[int, ...], tuple[int, ...]]:
     return (0,), tuple(range(1, len(ABOUT))) if plan.weighed else ()  # a condition leaves no choice of q
 
 
-def settle(e: Engine, plan: Plan, model: Light, data: Problem, begin: Point, beside: Neighbours) -> Solution:
-    """The optimum near `begin`, at rest."""
+def settle(
+    e: Engine, plan: Plan, model: Light, data: Problem, begin: Point, beside: Neighbours, *, rest: float = REST
+) -> Solution:
+    """The optimum near `begin`, at rest; a larger `rest` is enough where its cost alone is wanted."""
     xp = e.xp
     laid = lay(e, plan, model, data, begin, beside)
     begin = meeting(e, plan, model, data, laid, begin)
     if not costly(plan):
-        return optimise(e, plan, model, data, laid, begin, REST, relay=True, beside=beside)
+        return optimise(e, plan, model, data, laid, begin, rest, relay=True, beside=beside)
 
     def again(state: tuple[Solution, Any, Any, Any], data: Problem) -> tuple[Solution, Any, Any, Any]:
         last, number, *_ = state
         laid = lay(e, plan, model, data, last.point, beside, last.laid.nodes)
-        found = optimise(e, plan, model, data, laid, last.point, REST, relay=True, shared=last.shared)
+        found = optimise(e, plan, model, data, laid, last.point, rest, relay=True, shared=last.shared)
         quiet = xp.abs(found.cost - last.cost) < GAINED
-        return found, number + 1, _distance(xp, found.point, last.point) > LAID, quiet
+        return found, number + 1, _distance(xp, found.point, last.point) > max(LAID, 10 * rest), quiet
 
     first = optimise(e, plan, model, data, laid, begin, ROUGH, relay=True)
     begun = (first, xp.zeros(first.cost.shape[0], dtype=xp.int32), first.cost < np.inf, first.cost < 0)
