@@ -18,8 +18,8 @@ RADII = (1.0, 3.0, 10.0, 30.0)
 """Of the balls, in units of the spread: R σtr, where there is absorption."""
 METHODS = {
     "brdf": RenderOptions("brdf"),
-    "bssrdf exact": RenderOptions("bssrdf"),
-    "bssrdf exponential": RenderOptions("bssrdf", sampling="exponential"),
+    "points": RenderOptions("bssrdf"),
+    "walks": RenderOptions("bssrdf", method="walks"),
     "mc": RenderOptions("mc"),
 }
 REFERENCE = "mc"
@@ -48,7 +48,7 @@ def cases(
                 continue
             small = replace(scene, camera=replace(scene.camera, pixels=(pixels, pixels)))
             methods = tuple(method for method in METHODS if not (scene.narrow_light and method == REFERENCE))
-            yield RenderCase(scene_name, name, small, methods, "bssrdf exact" if scene.narrow_light else REFERENCE)
+            yield RenderCase(scene_name, name, small, methods, "points" if scene.narrow_light else REFERENCE)
 
 
 def _scenes(material: RenderMaterial) -> dict[str, Scene]:

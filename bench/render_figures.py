@@ -44,7 +44,10 @@ FIGURES = {
             BRDF,
             replace(BSSRDF, samples=512),
             Panel("full Monte Carlo", RenderOptions("mc"), samples=192),
-            *(Panel(f"{term} alone", RenderOptions("bssrdf", terms=(term,)), samples=512) for term in TERMS),
+            *(
+                Panel(f"{term} alone", RenderOptions("bssrdf", kernel="dipole", terms=(term,)), samples=512)
+                for term in TERMS
+            ),
         ),
         "BSSRDF",
         3,

@@ -57,12 +57,12 @@ class CaseResult:
 def table(results: list[CaseResult]) -> str:
     """A line a case and method; under a case what is known about its reference."""
     lines = [
-        "| scene | material | method | s a run | compile s | variance × s | over bssrdf exact | mean ratio R, G, B "
+        "| scene | material | method | s a run | compile s | variance × s | over points | mean ratio R, G, B "
         "| ± | relMSE of the bias |",
         "|---|---|---|--:|--:|--:|--:|--:|--:|--:|",
     ]
     for result in results:
-        exact = next(row for row in result.rows if row.method == "bssrdf exact")
+        exact = next(row for row in result.rows if row.method == "points")
         lines += [
             f"| {row.scene} | {row.material} | {row.method} | {row.seconds:.3f} | {row.compile_s:.1f} | {row.cost:.3g} "
             f"| {row.cost / exact.cost:.3g} | {_numbers(row.ratio, '.3f')} | {max(row.ratio_se):.3f} "
@@ -88,10 +88,10 @@ def _notes(results: list[CaseResult]) -> list[str]:
 
 def _known_text(result: CaseResult) -> str:
     """Rendered over closed form, and the closed forms over Monte Carlo of a half space, which no path cuts off."""
-    exact = np.array(_mean_of(result, "bssrdf exact"))
+    exact = np.array(_mean_of(result, "points"))
     terms, paper, truth = (np.array(result.known[key]) for key in KNOWN)
     return (
-        f"bssrdf exact over the closed form of its terms {_numbers(exact / terms, '.4f')}; that sum over Monte Carlo "
+        f"points over the closed form {_numbers(exact / truth, '.4f')}; the paper's sum of terms over it "
         f"{_numbers(terms / truth, '.3f')}, with the paper's exit lobe {_numbers(paper / truth, '.3f')}"
     )
 

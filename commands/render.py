@@ -37,8 +37,13 @@ _OPTIONS = (
     click.option("--mc-depth", type=click.IntRange(2), default=1000, show_default=True, help="mc: most scatterings."),
     click.option("--seed", type=click.IntRange(0, 10_000), default=0, show_default=True),
     click.option(
-        "--sampling", type=click.Choice(["exact", "exponential"]), default="exact", help="How bssrdf draws radii."
+        "--method",
+        type=click.Choice(["points", "walks"]),
+        default="points",
+        show_default=True,
+        help="How bssrdf is found.",
     ),
+    click.option("--kernel", type=click.Choice(["table", "dipole"]), default="table", show_default=True, help="R_d."),
     click.option("--paper", is_flag=True, help="The exit Fresnel factor as printed, without its normalisation."),
     click.option("--force", is_flag=True, help="Replace what stands at the output."),
 )
@@ -55,7 +60,7 @@ def _scene_options(command: Decorated) -> Decorated:
 @click.option(
     "--model", type=click.Choice(["auto", "brdf", "bssrdf", "mc"]), default="auto", show_default=True, help="How."
 )
-@click.option("--terms", metavar="LIST", help="Of diffusion,single,specular: those to show, and what they overlap by.")
+@click.option("--terms", metavar="LIST", help="kernel dipole: of diffusion,single,specular, those to show.")
 @click.option("--explain", is_flag=True, help="Say how --model auto chooses, and what it chose.")
 @click.option("--out", type=FILE, metavar="STEM", help="STEM.exr and STEM.png are written (default: SCENE).")
 @_scene_options
@@ -72,11 +77,9 @@ def render(
 
     stem = out or Path(Path(scene).stem)
     _refuse([stem.with_name(f"{stem.name}.{kind}") for kind in ("exr", "png")], given.pop("force"))
-    options = _options(given, terms)
+    options = _options(given, terms, seed)
     subject = _subject(scene, given)
     options = _with_model(subject, options, model, explain)
-    if terms is not None or explain:
-        _say_overlap(subject)
     with _spoken(), steps(quiet=is_quiet()) as progress:
         picture = render_picture(subject, options, samples=samples, seed=seed, progress=progress)
     white = 99.0 if isinstance(subject, Path) else subject.white_percentile
@@ -103,7 +106,7 @@ def compare(scene: str, out: Path | None, samples: int, mc_samples: int | None, 
 
     folder = out or Path(f"{Path(scene).stem}-compare")
     _refuse([folder], given.pop("force"))
-    options = _options(given, None)
+    options = _options(given, None, seed)
     subject = _subject(scene, given)
     refusal = "a .xml file holds no medium for mc" if isinstance(subject, Path) else mc_refusal(subject)
     if refusal:
@@ -146,15 +149,18 @@ def _refuse(paths: list[Path], force: bool) -> None:
             raise UsageError(f"{path.parent} is not a folder; make it first, or choose another --out")
 
 
-def _options(given: dict[str, Any], terms: str | None) -> RenderOptions:
+def _options(given: dict[str, Any], terms: str | None, seed: int) -> RenderOptions:
     from bssrdf.render import TERMS, RenderOptions
 
     wanted = TERMS if terms is None else tuple(term.strip() for term in terms.split(","))
     for term in wanted:
         if term not in TERMS:
             raise UsageError(f'term "{term}" is not one of {", ".join(TERMS)}')
+    paper, kernel = given.pop("paper"), given.pop("kernel")
+    if kernel == "table" and (terms is not None or paper):
+        raise UsageError("--terms and --paper are of the dipole; give --kernel dipole with them")
     return RenderOptions(
-        terms=wanted, sampling=given.pop("sampling"), paper=given.pop("paper"), mc_depth=given.pop("mc_depth")
+        kernel=kernel, method=given.pop("method"), terms=wanted, paper=paper, seed=seed, mc_depth=given.pop("mc_depth")
     )
 
 
@@ -214,14 +220,6 @@ def _with_model(subject: Scene | Path, options: RenderOptions, model: str, expla
     if chosen == "mc" and len(options.terms) < 3:
         raise UsageError("mc has no terms to show apart; use --model bssrdf or brdf with --terms")
     return replace(options, model=chosen)
-
-
-def _say_overlap(subject: Scene | Path) -> None:
-    from bssrdf.render import overlap_text
-
-    if not isinstance(subject, Path):
-        for material in dict.fromkeys(body.material for body in subject.bodies.values()):
-            click.echo(overlap_text(material), err=True)
 
 
 def _provenance(scene: str, subject: Scene | Path, options: RenderOptions, samples: int, seed: int) -> dict[str, Any]:

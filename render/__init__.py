@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from bssrdf.render.material import RenderMaterial as RenderMaterial
     from bssrdf.render.material import find_medium as find_medium
     from bssrdf.render.mesh_file import read_mesh as read_mesh
-    from bssrdf.render.overlap import overlap_text as overlap_text
     from bssrdf.render.picture import Pixels as Pixels
     from bssrdf.render.picture import Stage as Stage
     from bssrdf.render.picture import exposure as exposure

@@ -9,15 +9,15 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-TABLE_SIZE = 128
-"""Entries of a transmittance table, uniform in the outside cosine from 0 to 1."""
+from bssrdf.render.kernel import COSINES, cosines
+
 _SLOPES = 24
 """Slopes across each way in the average over a rough surface."""
 
 
 def transmittance_table(eta: float, alpha: float) -> NDArray[np.float64]:
     """Share of the light from an outside direction that is not reflected by a GGX surface of roughness `alpha`."""
-    mu = np.maximum(np.linspace(0, 1, TABLE_SIZE), 1e-3).astype(np.float32)
+    mu = cosines().astype(np.float32)
     if alpha == 0:
         return 1 - np.array(mi.fresnel(mi.Float(mu), eta)[0], np.float64)
     u = (np.arange(_SLOPES, dtype=np.float32) + 0.5) / _SLOPES
@@ -28,7 +28,7 @@ def transmittance_table(eta: float, alpha: float) -> NDArray[np.float64]:
     cosine = dr.dot(toward, facet)
     away = 2 * cosine * mi.Vector3f(facet) - toward
     reflected = dr.select(away.z > 0, mi.fresnel(cosine, eta)[0] * slopes.smith_g1(away, facet), 0)
-    return 1 - np.array(reflected, np.float64).reshape(TABLE_SIZE, -1).mean(axis=1)
+    return 1 - np.array(reflected, np.float64).reshape(COSINES, -1).mean(axis=1)
 
 
 def refracted_cosine(cos_theta: Any, eta: Any) -> Any:

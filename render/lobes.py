@@ -66,9 +66,6 @@ class Lobe(Protocol):
     def bounce(self, sampler: Any) -> Bounce:
         """The path's next direction."""
 
-    def beam(self, sampler: Any) -> Any:
-        """Light that a spot's own ray brings, over its density."""
-
 
 class Ordinary:
     """Any other BSDF of Mitsuba's."""
@@ -92,9 +89,6 @@ class Ordinary:
         )
         delta = mi.has_flag(drawn.sampled_type, mi.BSDFFlags.Delta)
         return Bounce(si.to_world(drawn.wo), weight, drawn.pdf, delta, si)
-
-    def beam(self, sampler: Any) -> Any:
-        return 0
 
 
 class Specular:
@@ -137,5 +131,24 @@ class Specular:
         pdf = dr.select(self._is_rough, pdf / (4 * dr.maximum(cos_half, 1e-6)), 1)
         return Bounce(direction, mi.Spectrum(weight), pdf, ~self._is_rough, self.ref)
 
-    def beam(self, sampler: Any) -> Any:
-        return 0
+
+class Scattered:
+    """All light that is scattered inside, leaving where it entered: R_d in the limit of a short mean free path."""
+
+    def __init__(self, media: Media, vertex: Vertex, active: Any) -> None:
+        self.active = active
+        self.ref = vertex.si
+        self._media = media
+        self._vertex = vertex
+        self._total = media.total(vertex.optics)
+
+    def light(self, ds: Any) -> LobeSample:
+        cos_i = dr.maximum(dr.dot(self._vertex.normal, ds.d), 0)
+        entering = self._media.entering(self._vertex.optics, cos_i)
+        return LobeSample(self._total * entering * cos_i / dr.pi, cos_i / dr.pi, self.ref)
+
+    def bounce(self, sampler: Any) -> Bounce:
+        local = mi.warp.square_to_cosine_hemisphere(sampler.next_2d(self.active))
+        direction = mi.Frame3f(self._vertex.normal).to_world(local)
+        weight = self._total * self._media.entering(self._vertex.optics, local.z)
+        return Bounce(direction, weight, local.z / dr.pi, mi.Bool(False), self.ref)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,20 +12,21 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from bssrdf.render.interface import TABLE_SIZE, transmittance_table
-from bssrdf.render.sampling import DipoleSources, dipole
+from bssrdf.render.interface import transmittance_table
+from bssrdf.render.kernel import COSINES, Kernel, Kernels, cosines, kernels
 from bssrdf.render.surface import (
     INVERSION_SIZE,
     MediumBoundary,
+    albedo_range,
     coefficients,
     extinction,
     inversion_table,
-    widest_coefficients,
 )
-from bssrdf.transport import scoped_x64
-from bssrdf.transport.fresnel import boundary_a, exit_norm
+from bssrdf.transport import nearest
 
-_SCALARS = ("eta", "g", "alpha", "boundary_a", "exit_norm")
+_SCALARS = ("eta", "g", "alpha", "first_kernel", "kernels", "least_q", "most_q")
+_TEXTURE_KERNELS = 33
+"""Media of a texture for which tables are made, evenly spaced in q = √(1 − α′)."""
 
 Floats = NDArray[np.float64]
 
@@ -38,13 +40,9 @@ class Optics:
     eta: Any
     g: Any
     alpha: Any
-    boundary_a: Any
-    exit_norm: Any
+    kernel: Any
+    """Place of each channel's medium among all tables, between two of them where coefficients vary."""
     row: Any
-
-    def dipole(self) -> DipoleSources:
-        """Its two sources."""
-        return dipole(self.sigma_a, self.sigma_sp, self.boundary_a)
 
     def sigma_s(self) -> Any:
         """Scattering coefficient, not reduced."""
@@ -58,7 +56,7 @@ class Optics:
 class Media:
     """All translucent surfaces of a scene, by the shapes' BSDFs; the kernels read numbers, never constants."""
 
-    def __init__(self, scene: Any) -> None:
+    def __init__(self, scene: Any, kernel: Kernel = "table") -> None:
         surfaces: dict[int, MediumBoundary] = {}
         self.shapes: list[Any] = []
         self.others = False
@@ -74,6 +72,7 @@ class Media:
         self.surfaces = list(surfaces.values())
         self.textured = any(surface.textured for surface in self.surfaces)
         self.rough = any(surface.alpha > 0 for surface in self.surfaces)
+        self.tables = [_tables(surface, kernel) for surface in self.surfaces]
         if self.surfaces:
             self._fill(list(surfaces))
 
@@ -81,15 +80,19 @@ class Media:
         rows = np.zeros(max(ids) + 1, np.uint32)
         rows[ids] = np.arange(1, len(ids) + 1)
         self._rows = mi.UInt32(rows)
-        tables = [transmittance_table(surface.eta, surface.alpha) for surface in self.surfaces]
-        norms = [_mean_transmittance(s, table) for s, table in zip(self.surfaces, tables, strict=True)]
-        self._transmittance = mi.Float(np.concatenate(tables).astype(np.float32))
+        crossed = [transmittance_table(surface.eta, surface.alpha) for surface in self.surfaces]
+        self._transmittance = mi.Float(np.concatenate(crossed).astype(np.float32))
         self._inversion = mi.Float(np.concatenate([inversion_table(s.eta) for s in self.surfaces]).astype(np.float32))
-        numbers = [_numbers(s, norm) for s, norm in zip(self.surfaces, norms, strict=True)]
+        lobes = [table.lobe * once for table, once in zip(self.tables, crossed, strict=True)]
+        mu = cosines()
+        norms = [2 * np.trapezoid(lobe * mu, mu, axis=1) for lobe in lobes]
+        self._lobe = mi.Float(np.concatenate(lobes).astype(np.float32).ravel())
+        self._norm = mi.Float(np.concatenate(norms).astype(np.float32))
+        self._total = mi.Float(np.concatenate([table.total for table in self.tables]).astype(np.float32))
+        first = np.cumsum([0, *(len(table.total) for table in self.tables)])
+        numbers = [_numbers(*each) for each in zip(self.surfaces, self.tables, first, strict=False)]
         self._numbers = mi.Float(np.concatenate(numbers).astype(np.float32))
         self._stride = len(numbers[0])
-        widest = [widest_coefficients(s).ravel() for s in self.surfaces]
-        self._widest = mi.Float(np.concatenate(widest).astype(np.float32))
 
     def shortest_mean_free_path(self) -> float:
         """The least 1/σt over all surfaces and channels; 0 where a texture may hold anything."""
@@ -108,25 +111,20 @@ class Media:
         """The medium at each hit, textures looked up."""
         start = row * self._stride
         numbers = [dr.gather(mi.Float, self._numbers, start + i, active) for i in range(self._stride)]
-        n = len(_SCALARS)
-        n_channels = dr.size_v(mi.Spectrum)
-        sigma_a = mi.Spectrum(numbers[n : n + n_channels])
-        sigma_sp = mi.Spectrum(numbers[n + n_channels :])
+        n, n_channels = len(_SCALARS), dr.size_v(mi.Spectrum)
+        sigma_a, sigma_sp, kernel = (
+            mi.Spectrum(numbers[n + i * n_channels : n + (i + 1) * n_channels]) for i in range(3)
+        )
+        eta, g, alpha, first, count, least, most = numbers[:n]
         for i, surface in enumerate(self.surfaces):
             if surface.textured:
                 here = active & (row == i)
                 looked_up = self._look_up(surface, i, si, here)
                 sigma_a, sigma_sp = dr.select(here, looked_up[0], sigma_a), dr.select(here, looked_up[1], sigma_sp)
-        eta, g, alpha, boundary, norm = numbers[:n]
-        return Optics(sigma_a, sigma_sp, eta, g, alpha, boundary, norm, row)
-
-    def widest(self, optics: Optics, active: Any) -> DipoleSources | None:
-        """The dipole of the places of a surface where light spreads farthest; None if it is the same everywhere."""
-        if not self.textured:
-            return None
-        n = dr.size_v(mi.Spectrum)
-        values = [dr.gather(mi.Float, self._widest, optics.row * 2 * n + i, active) for i in range(2 * n)]
-        return dipole(mi.Spectrum(values[:n]), mi.Spectrum(values[n:]), optics.boundary_a)
+                q = dr.sqrt(sigma_a / dr.maximum(sigma_a + sigma_sp, 1e-20))
+                place = (most - q) / dr.maximum(most - least, 1e-6) * (count - 1)
+                kernel = dr.select(here, first + dr.clip(place, 0, count - 1), kernel)
+        return Optics(sigma_a, sigma_sp, eta, g, alpha, kernel, row)
 
     def optics_at(self, si: Any, optics: Optics, active: Any) -> Optics:
         """The medium at another point of the same surface."""
@@ -137,8 +135,43 @@ class Media:
         smooth = 1 - mi.fresnel(dr.maximum(cos_theta, 0), optics.eta)[0]
         if not self.rough:
             return smooth
-        tabulated = _interpolated(self._transmittance, TABLE_SIZE, optics.row, cos_theta)
+        tabulated = _interpolated(self._transmittance, COSINES, optics.row, cos_theta)
         return dr.select(optics.alpha > 0, tabulated, smooth)
+
+    def total(self, optics: Optics) -> Any:
+        """R, of the light that enters along the normal."""
+        return self._by_channel(optics, lambda row: dr.gather(mi.Float, self._total, row))
+
+    def entering(self, optics: Optics, cos_theta: Any) -> Any:
+        """Share of the light from an outside direction that enters, times what of it comes out over R."""
+        return self._by_channel(optics, lambda row: _interpolated(self._lobe, COSINES, row, cos_theta))
+
+    def leaving(self, optics: Optics, cos_theta: Any) -> Any:
+        """π times the radiance towards an outside direction, over the radiant exitance."""
+
+        def lobe(row: Any) -> Any:
+            norm = dr.gather(mi.Float, self._norm, row)
+            return _interpolated(self._lobe, COSINES, row, cos_theta) / norm
+
+        return self._by_channel(optics, lobe)
+
+    def even_share(self, row: int) -> Floats:
+        """What comes out of even light over that of light along the normal, by channel of an untextured surface."""
+        surface, table = self.surfaces[row], self.tables[row]
+        mu, once = cosines(), transmittance_table(surface.eta, surface.alpha)
+        even = np.asarray(np.trapezoid(table.lobe * once * mu, mu, axis=1) / np.trapezoid(once * mu, mu))
+        return np.asarray(even[np.searchsorted(table.albedo, _albedo(surface))])
+
+    def _by_channel(self, optics: Optics, value: Callable[[Any], Any]) -> Any:
+        found = []
+        for place in optics.kernel:
+            row = mi.UInt32(place)
+            one = value(row)
+            if self.textured:
+                above = dr.minimum(row + 1, dr.width(self._total) - 1)
+                one = dr.lerp(one, value(above), place - mi.Float(row))
+            found.append(one)
+        return mi.Spectrum(found)
 
     def normal(self, si: Any, row: Any, active: Any) -> Any:
         """Shading normal, tilted by the displacement map where there is one."""
@@ -168,21 +201,29 @@ def _interpolated(table: Any, size: int, row: Any, x: Any) -> Any:
     return dr.lerp(dr.gather(mi.Float, table, start), dr.gather(mi.Float, table, start + 1), place - mi.Float(index))
 
 
-@scoped_x64
-def _numbers(surface: MediumBoundary, norm: float) -> Floats:
-    scalars = [surface.eta, surface.g, surface.alpha, float(boundary_a(surface.eta)), norm]
-    n = dr.size_v(mi.Spectrum)
-    colours = np.ones((2, n)) if surface.textured else coefficients(surface)
-    return np.concatenate([scalars, *colours])
+def _tables(surface: MediumBoundary, kernel: Kernel) -> Kernels:
+    """Of the surface's channels, or of media over all that a texture holds; of the nearest phase function at hand."""
+    if surface.textured:
+        most, least = (math.sqrt(1 - albedo) for albedo in albedo_range(surface))
+        albedo = 1 - np.linspace(max(most, least + 1e-3), least, _TEXTURE_KERNELS) ** 2
+    else:
+        albedo = np.unique(_albedo(surface))
+    at_hand = nearest(surface.eta, surface.g) if kernel == "table" else surface
+    return kernels(at_hand.eta, at_hand.g, albedo, kernel)
 
 
-@scoped_x64
-def _mean_transmittance(surface: MediumBoundary, table: Floats) -> float:
-    """C = 2∫ T μ dμ of the boundary."""
-    if surface.alpha == 0:
-        return float(exit_norm(surface.eta))
-    mu = np.linspace(0, 1, TABLE_SIZE)
-    return float(2 * np.trapezoid(table * mu, mu))
+def _albedo(surface: MediumBoundary) -> Floats:
+    sigma_a, sigma_sp = coefficients(surface)
+    return np.asarray(sigma_sp / (sigma_a + sigma_sp))
+
+
+def _numbers(surface: MediumBoundary, table: Kernels, first: int) -> Floats:
+    """Scalars of a surface, then its coefficients and the places of its tables, by channel."""
+    most, least = np.sqrt(1 - table.albedo[[0, -1]])
+    scalars = [surface.eta, surface.g, surface.alpha, first, len(table.albedo), least, most]
+    if surface.textured:
+        return np.concatenate([scalars, np.ones(3 * dr.size_v(mi.Spectrum))])
+    return np.concatenate([scalars, *coefficients(surface), first + np.searchsorted(table.albedo, _albedo(surface))])
 
 
 def _tilted(gradient: Any, si: Any) -> Any:

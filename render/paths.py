@@ -1,8 +1,8 @@
 """The steps of a path: what is met, which lobe goes on, the light that reaches it, and the next ray.
 
-At a translucent surface one term is drawn, in proportion to what it brings: diffusion goes on from the point where the
-light entered, single scattering from inside, the specular reflection as from any surface. Each takes light by light
-sampling and by its own direction, weighed by the balance heuristic, so all light enters, the indirect included.
+At a translucent surface the light that leaves it is read from its vertices where it is stored there. Of the rest, one
+term is drawn in proportion to what it brings. Each takes light by light sampling and by its own direction, weighed by
+the balance heuristic.
 """
 
 from __future__ import annotations
@@ -13,15 +13,19 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
-from bssrdf.render.diffusion import Diffusion, LocalDiffusion
-from bssrdf.render.lobes import Bounce, Lobe, Ordinary, Specular, Vertex
+from bssrdf.render.kernel import Kernel
+from bssrdf.render.lobes import Bounce, Lobe, Ordinary, Scattered, Specular, Vertex
 from bssrdf.render.medium import Media, Optics
-from bssrdf.render.probes import SMALLEST, size_of
-from bssrdf.render.sampling import Law, reach
 from bssrdf.render.single import LocalSingle, Single, single_share
-from bssrdf.render.spots import Spots
 
 TERMS = ("diffusion", "single", "specular")
+"""The last two, and the dipole; with the table's kernel the first holds all that is scattered."""
+EXITANCE = "vertex_exitance"
+"""Attribute of a mesh: the radiant exitance over R."""
+_SMALLEST = 1e-4
+"""Mean free path, over the size of a coordinate, below which single precision cannot tell two points apart."""
+_LEAST_COSINE = 0.02
+"""Of a bumped normal to the viewer; where it turns farther away, the surface's own stands in."""
 
 
 @dataclass(frozen=True)
@@ -29,15 +33,19 @@ class Settings:
     """What the integrator was asked for."""
 
     terms: tuple[str, ...] = TERMS
-    law: Law = "exact"
+    kernel: Kernel = "table"
     local: bool = False
     """The BRDF of section 2.4: light leaves where it entered."""
     paper: bool = False
     """As printed: no 1/C in the exit lobe, no 1/η² in the local single scattering."""
     max_depth: int = 1 << 24
     rr_depth: int = 5
-    max_probe_hits: int = 8
     hide_emitters: bool = False
+
+    def drawn(self) -> tuple[str, ...]:
+        """The terms that paths go on by."""
+        apart = () if self.kernel == "dipole" else ("single",)
+        return tuple(term for term in self.terms if term not in apart and (self.local or term != "diffusion"))
 
 
 @dataclass
@@ -63,10 +71,9 @@ class Tracer:
     def __init__(self, scene: Any, settings: Settings) -> None:
         self.scene = scene
         self.settings = settings
-        self.media = Media(scene)
-        self.spots = Spots(scene)
+        self.media = Media(scene, settings.kernel)
         delta = [bool(int(emitter.flags()) & int(mi.EmitterFlags.Delta)) for emitter in scene.emitters()]
-        self._has_local = settings.local or self.media.shortest_mean_free_path() < 2 * SMALLEST * _size(scene)
+        self._has_local = settings.local or self.media.shortest_mean_free_path() < 2 * _SMALLEST * _size(scene)
         self._lit = bool(delta)
         self._hittable = not all(delta)
         """Is there light that a ray can meet by chance?"""
@@ -105,12 +112,9 @@ class Tracer:
 
     def _shade(self, path: Path, si: Any, sampler: Any) -> tuple[Path, Any]:
         """Add the light that reaches the surface, and draw the ray after it."""
-        lobes, throughput = self._lobes(path, si, sampler, path.active)
-        radiance = path.radiance
+        lobes, throughput, radiance = self._lobes(path, si, sampler, path.active)
         if self._lit:
             radiance = radiance + throughput * self._direct(lobes, sampler)
-            for lobe in lobes:
-                radiance = radiance + throughput * lobe.beam(sampler)
         return self._continued(path, radiance, throughput, lobes, path.seen, sampler), sampler
 
     def _emitted(self, path: Path, si: Any) -> Any:
@@ -125,74 +129,86 @@ class Tracer:
         """Density with which light sampling would have found the light that a path met."""
         return self.scene.pdf_emitter_direction(ref, ds, active)
 
-    def _lobes(self, path: Path, si: Any, sampler: Any, active: Any) -> tuple[list[Lobe], Any]:
-        """The lobes of all surfaces met, one of them active in a lane, and the throughput with their chance."""
+    def _lobes(self, path: Path, si: Any, sampler: Any, active: Any) -> tuple[list[Lobe], Any, Any]:
+        """The lobes of all surfaces met, one active in a lane; throughput with their chance; radiance so far."""
         if not self.media.surfaces:
-            return [Ordinary(si, path.ray, active)], path.throughput
+            return [Ordinary(si, path.ray, active)], path.throughput, path.radiance
         row, translucent = self.media.row(si, active)
-        optics = self.media.optics(si, row, translucent)
-        outgoing = -path.ray.d
-        side = dr.select(dr.dot(si.n, outgoing) < 0, mi.Float(-1), mi.Float(1))
-        normal = self.media.normal(si, row, translucent) * side
-        vertex = Vertex(si, outgoing, normal, side, optics, path.throughput)
+        vertex = self._vertex(path, si, row, translucent)
         lobes: list[Lobe] = [Ordinary(si, path.ray, active & ~translucent)] if self.media.others else []
-        cos_o = dr.dot(normal, outgoing)
+        cos_o = dr.dot(vertex.normal, vertex.outgoing)
         translucent &= cos_o > 0
-        transmitted = self.media.transmittance(optics, cos_o)
-        chances = self._chances(vertex, transmitted)
+        radiance = path.radiance
+        if "diffusion" in self.settings.terms and not self.settings.local:
+            radiance = radiance + dr.select(translucent, path.throughput * self._stored(vertex, translucent), 0)
+        chances = self._chances(vertex, self.media.transmittance(vertex.optics, cos_o))
         u = sampler.next_1d(translucent)
         throughput = mi.Spectrum(path.throughput)
         below = mi.Float(0)
-        for term in self.settings.terms:
-            chosen = translucent & (u >= below) & (u < below + chances[term])
-            below += chances[term]
-            made = self._of_term(term, vertex, sampler, chosen)
-            exit_lobe = transmitted / (1 if self.settings.paper else optics.exit_norm) if term == "diffusion" else 1
-            factor = exit_lobe / dr.maximum(chances[term], 1e-12)
+        for term, chance in chances.items():
+            chosen = translucent & (u >= below) & (u < below + chance)
+            below += chance
+            factor = self._out_of(term, vertex, cos_o) / dr.maximum(chance, 1e-12)
             throughput = dr.select(chosen, throughput * factor, throughput)
-            lobes += made
-        return lobes, throughput
+            lobes += self._of_term(term, vertex, sampler, chosen)
+        return lobes, throughput, radiance
+
+    def _vertex(self, path: Path, si: Any, row: Any, active: Any) -> Vertex:
+        outgoing = -path.ray.d
+        side = dr.select(dr.dot(si.n, outgoing) < 0, mi.Float(-1), mi.Float(1))
+        normal = self.media.normal(si, row, active) * side
+        tilted = dr.dot(normal, outgoing) > _LEAST_COSINE
+        normal = dr.select(tilted, normal, mi.Normal3f(si.n * side))
+        return Vertex(si, outgoing, normal, side, self.media.optics(si, row, active), path.throughput)
+
+    def _stored(self, vertex: Vertex, active: Any) -> Any:
+        """Radiance of the light that the surface's vertices hold."""
+        colour = dr.size_v(mi.Spectrum) > 1
+        read = vertex.si.shape.eval_attribute_3 if colour else vertex.si.shape.eval_attribute_1
+        exitance = mi.Spectrum(read(EXITANCE, vertex.si, active)) * self.media.total(vertex.optics)
+        return exitance * self._out_of("diffusion", vertex, dr.dot(vertex.normal, vertex.outgoing)) / dr.pi
+
+    def _out_of(self, term: str, vertex: Vertex, cos_o: Any) -> Any:
+        """The exit lobe that a term does not hold itself."""
+        if term != "diffusion":
+            return 1
+        if self.settings.paper:
+            return self.media.transmittance(vertex.optics, cos_o)
+        return self.media.leaving(vertex.optics, cos_o)
 
     def _chances(self, vertex: Vertex, transmitted: Any) -> dict[str, Any]:
-        """How the terms asked for share the paths: in proportion to what each brings under even light."""
+        """How the terms that are drawn share the paths: in proportion to what each brings under even light."""
         optics, throughput = vertex.optics, vertex.throughput
-        norm = 1 if self.settings.paper else optics.exit_norm
         brings = {
-            "diffusion": transmitted / norm * dr.max(throughput * optics.dipole().total()),
+            "diffusion": transmitted * dr.max(throughput * self.media.total(optics)),
             "single": transmitted * dr.max(throughput * single_share(optics)),
             "specular": (1 - transmitted) * dr.max(throughput),
         }
-        asked = {term: brings[term] for term in self.settings.terms}
+        asked = {term: brings[term] for term in self.settings.drawn()}
         total = dr.maximum(sum(asked.values()), 1e-30)
         return {term: value / total for term, value in asked.items()}
 
     def _of_term(self, term: str, vertex: Vertex, sampler: Any, active: Any) -> list[Lobe]:
-        settings, media, scene = self.settings, self.media, self.scene
         if term == "specular":
-            return [Specular(media, vertex, active)]
-        far, local = self._apart(term, vertex.optics, size_of(vertex.si.p), active)
-        lobes: list[Lobe] = []
+            return [Specular(self.media, vertex, active)]
         if term == "diffusion":
-            if not settings.local:
-                law, hits = settings.law, settings.max_probe_hits
-                lobes.append(Diffusion(scene, sampler, media, self.spots, vertex, law, hits, far))
-            if self._has_local:
-                lobes.append(LocalDiffusion(media, vertex, local))
-        else:
-            if not settings.local:
-                lobes.append(Single(scene, sampler, media, vertex, far))
-            if self._has_local:
-                lobes.append(LocalSingle(media, vertex, settings.paper, local))
+            return [Scattered(self.media, vertex, active)]
+        far, local = self._apart(vertex.optics, vertex.si.p, active)
+        lobes: list[Lobe] = []
+        if not self.settings.local:
+            lobes.append(Single(self.scene, sampler, self.media, vertex, far))
+        if self._has_local:
+            lobes.append(LocalSingle(self.media, vertex, self.settings.paper, local))
         return lobes
 
-    def _apart(self, term: str, optics: Optics, size: Any, active: Any) -> tuple[Any, Any]:
+    def _apart(self, optics: Optics, place: Any, active: Any) -> tuple[Any, Any]:
         """Where single precision can tell entry from exit, and where not."""
         if self.settings.local:
             return mi.Bool(False), active
         if not self._has_local:
             return active, mi.Bool(False)
-        spread = dr.max(reach(optics.dipole())) if term == "diffusion" else 1 / dr.min(optics.sigma_t())
-        return active & (spread >= SMALLEST * size), active & (spread < SMALLEST * size)
+        far = 1 / dr.min(optics.sigma_t()) >= _SMALLEST * (1 + dr.max(dr.abs(place)))
+        return active & far, active & ~far
 
     def _direct(self, lobes: list[Lobe], sampler: Any) -> Any:
         """Light sampling, from each lane's own lobe."""
@@ -245,6 +261,6 @@ def interaction(si: Any) -> Any:
 
 
 def _size(scene: Any) -> float:
-    """The largest coordinate, as `size_of` has it."""
+    """The largest coordinate, and one."""
     box = scene.bbox()
     return 1 + max(float(dr.max(dr.abs(dr.ravel(corner)))[0]) for corner in (mi.Point3f(box.min), mi.Point3f(box.max)))

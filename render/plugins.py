@@ -10,7 +10,9 @@ from typing import Any, Literal
 
 import numpy as np
 
+from bssrdf.render.kernel import Kernel
 from bssrdf.render.material import RenderMaterial
+from bssrdf.render.points.record import LightPlan, Method
 from bssrdf.render.scenes.place import looking
 from bssrdf.render.scenes.record import Body, Bump, Plugin, Scene, Thing, Viewpoint
 from bssrdf.render.surface_nets import TriangleMesh
@@ -29,9 +31,14 @@ class RenderOptions:
     """How to render."""
 
     model: Model = "bssrdf"
+    kernel: Kernel = "table"
+    method: Method = "points"
     terms: tuple[str, ...] = TERMS
-    sampling: Literal["exact", "exponential"] = "exact"
     paper: bool = False
+    light_samples: int = LightPlan.light_samples
+    walks: int = LightPlan.walks
+    seed: int = 0
+    """Of the light that is found before a picture is drawn."""
     mc_depth: int = MC_DEPTH
 
 
@@ -47,10 +54,13 @@ def integrator(options: RenderOptions) -> dict[str, Any]:
     if options.model == "mc":
         depth = options.mc_depth
         return {"type": "volpathmis", "max_depth": depth, "rr_depth": depth + 1, "hide_emitters": True}
-    common = {"terms": ",".join(options.terms), "paper": options.paper, "max_depth": SURFACE_DEPTH}
+    common: dict[str, Any] = {"kernel": options.kernel, "max_depth": SURFACE_DEPTH, "hide_emitters": True}
+    if options.kernel == "dipole":
+        common |= {"terms": ",".join(options.terms), "paper": options.paper}
     if options.model == "brdf":
-        return {"type": "bssrdf_brdf", **common, "hide_emitters": True}
-    return {"type": "bssrdf", **common, "sampling": options.sampling, "hide_emitters": True}
+        return {"type": "bssrdf_brdf", **common}
+    names = ("method", "light_samples", "walks", "seed")
+    return {"type": "bssrdf", **common, **{name: getattr(options, name) for name in names}}
 
 
 def medium(material: RenderMaterial) -> dict[str, Any]:

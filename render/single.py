@@ -14,7 +14,6 @@ import mitsuba as mi
 from bssrdf.render.interface import phase, refract_in, refract_out, refracted_cosine, sample_phase
 from bssrdf.render.lobes import Bounce, LobeSample, Vertex
 from bssrdf.render.medium import Media, Optics
-from bssrdf.render.probes import channel_shares, pick_channel
 
 
 class Single:
@@ -62,9 +61,6 @@ class Single:
         value = self._weight * dr.exp(-there.sigma_t() * si.t) * self._media.transmittance(there, cos_i)
         return Bounce(outside, dr.select(alive, value, 0), self._density(direction, cos_i, inside), mi.Bool(False), si)
 
-    def beam(self, sampler: Any) -> Any:
-        return 0
-
     def _density(self, direction: Any, cos_i: Any, inside: Any) -> Any:
         """The phase function, over the outside solid angle, for light from `direction` inside."""
         optics = self._vertex.optics
@@ -102,9 +98,6 @@ class LocalSingle:
         weight = self._reflectance(direction) * math.pi
         return Bounce(direction, weight, local.z / math.pi, mi.Bool(False), self.ref)
 
-    def beam(self, sampler: Any) -> Any:
-        return 0
-
     def _reflectance(self, incoming: Any) -> Any:
         normal, optics = self._vertex.normal, self._vertex.optics
         cos_i = dr.dot(normal, incoming)
@@ -116,6 +109,21 @@ class LocalSingle:
         if not self._paper:
             scattered /= optics.eta * optics.eta
         return optics.sigma_s() / optics.sigma_t() * scattered / dr.maximum(cosines, 1e-6)
+
+
+def channel_shares(contribution: Any) -> Any:
+    """Chances in proportion to what each channel contributes."""
+    total = dr.sum(contribution)
+    return dr.select(total > 0, contribution / dr.maximum(total, 1e-30), 1 / dr.size_v(mi.Spectrum))
+
+
+def pick_channel(value: Any, shares: Any, u: Any) -> Any:
+    """The value in the channel that `u` chooses with `shares`."""
+    picked, bound = value[0], shares[0]
+    for i in range(1, dr.size_v(mi.Spectrum)):
+        picked = dr.select(u < bound, picked, value[i])
+        bound = bound + shares[i]
+    return picked
 
 
 def single_share(optics: Optics) -> Any:

@@ -28,8 +28,6 @@ NUMBERS = {"scale": 1.0, "g": 0.0, "alpha": 0.0, "bump_scale": 1.0}
 INVERSION_SIZE = 1024
 _LOOKS = 256
 """Places looked up in a texture along each side."""
-_LEAST = 1e-2
-"""Of the largest scattering coefficient of a texture: the least that steers the sampling."""
 
 Floats = NDArray[np.float64]
 
@@ -137,7 +135,7 @@ def coefficients(surface: MediumBoundary) -> Floats:
     """sigma_a and sigma_sp of an untextured surface in 1/scene unit, shape (2, channels)."""
     first, second = surface.pair.values()
     if "sigma_a" in surface.pair:
-        return np.stack([first, second]) * surface.scale
+        return np.stack(np.broadcast_arrays(first, second)) * surface.scale
     ratio = np.interp(first, np.linspace(0, 1, INVERSION_SIZE), inversion_table(surface.eta)) ** 2 / 3
     return np.stack([ratio, 1 - ratio]) * surface.scale / np.maximum(second, 1e-20)
 
@@ -163,23 +161,22 @@ def mean_coefficients(surface: MediumBoundary) -> Floats:
     return coefficients(replace(surface, pair=means))
 
 
-def widest_coefficients(surface: MediumBoundary) -> Floats:
-    """Coefficients, shape (2, channels), under which light spreads at least as far as anywhere on the surface."""
-    return coefficients(replace(surface, pair={name: _widest(name, value) for name, value in surface.pair.items()}))
+def albedo_range(surface: MediumBoundary) -> tuple[float, float]:
+    """The least and the largest reduced albedo on a textured surface, as seen at many places of it."""
+    looked = {name: _looked_up(value) for name, value in surface.pair.items()}
+    sigma_a, sigma_sp = coefficients(replace(surface, pair=looked))
+    albedo = sigma_sp / np.maximum(sigma_a + sigma_sp, 1e-30)
+    return float(albedo.min()), float(albedo.max())
 
 
-def _widest(name: str, value: Any) -> Floats:
-    """The least of a sigma, the largest of a reflectance or a mean free path, over the texture."""
+def _looked_up(value: Any) -> Floats:
+    """Values of a texture all over it, (channels, places), or a colour."""
     if not _is_texture(value):
-        return value
+        return np.asarray(value)[:, None]
     u, v = np.meshgrid(*[(np.arange(_LOOKS, dtype=np.float32) + 0.5) / _LOOKS] * 2)
     si = dr.zeros(mi.SurfaceInteraction3f, u.size)
     si.uv = mi.Point2f(u.ravel(), v.ravel())
-    seen = np.array(mi.Spectrum(value.eval(si)), np.float64)
-    if not name.startswith("sigma"):
-        return seen.max(axis=1)
-    least = seen.max(axis=1) * _LEAST if name == "sigma_sp" else np.zeros(len(seen))
-    return np.maximum(seen.min(axis=1), least)
+    return np.array(mi.Spectrum(value.eval(si)), np.float64)
 
 
 @functools.cache

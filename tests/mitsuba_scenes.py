@@ -16,7 +16,7 @@ pytest.importorskip("mitsuba", reason='Mitsuba is not installed: pip install "bs
 import drjit as dr
 import mitsuba as mi
 
-from bssrdf.transport import dipole, single
+from bssrdf.transport import dipole, single, table_model
 from bssrdf.transport.fresnel import fresnel_t
 from bssrdf.transport.materials import PublishedMaterial
 from bssrdf.transport.precision import scoped_x64
@@ -30,7 +30,7 @@ VIEW = 0.8
 """Cosine of the viewing angle."""
 
 
-def plane(half: float = 500.0) -> dict[str, Any]:
+def plane(half: float = 200.0) -> dict[str, Any]:
     return {"type": "rectangle", "to_world": mi.ScalarTransform4f().scale([half, half, 1])}
 
 
@@ -45,9 +45,18 @@ def sampler(n: int, seed: int) -> Any:
     return made
 
 
-def radiance(scene: Any, ray: Any, n: int, seed: int = 0, **options: Any) -> tuple[Floats, Floats]:
-    """Mean over n samples of the rays, and its standard error, by channel."""
+def camera(width: float) -> Any:
+    """From above, so wide, 64 pixels a side."""
+    above = mi.ScalarTransform4f().look_at([0, 0, 50], [0, 0, 0], [0, 1, 0]).scale([width / 2, width / 2, 1])
+    film = {"type": "hdrfilm", "width": 64, "height": 64}
+    return mi.load_dict({"type": "orthographic", "to_world": above, "film": film})
+
+
+def radiance(scene: Any, ray: Any, n: int, seed: int = 0, view: float = 2.0, **options: Any) -> tuple[Floats, Floats]:
+    """Mean over n samples of the rays, and its standard error, by channel; surfaces are fine within the view."""
     integrator = mi.load_dict({"type": "bssrdf", **options})
+    if hasattr(integrator, "prepare"):
+        integrator.prepare(scene, camera(view))
     value, _, _ = integrator.sample(scene, sampler(n, seed), ray)
     values = np.array(value, np.float64)
     return values.mean(axis=1), values.std(axis=1) / math.sqrt(n)
@@ -100,7 +109,16 @@ def even_single(sigma_a: float, sigma_sp: float, g: float, eta: float, mu: float
 
 
 def even_light(material: PublishedMaterial, channel: int, mu: float) -> float:
-    """Closed form of all terms under light of radiance 1 from everywhere."""
+    """Radiance under light of radiance 1 from everywhere, by the table: what a beam from there would send back."""
+    medium = dipole.Medium(material.sigma_a_per_mm[channel], material.sigma_sp_per_mm[channel], material.eta)
+    model = table_model(material.eta, 0.0)
+    entering = float(fresnel_t(material.eta, 1.0)) * float(scoped_x64(model.total)(medium))
+    towards, ahead = (float(scoped_x64(model.total_radiance_factor)(medium, cosine)) for cosine in (mu, 1.0))
+    return 1 - float(fresnel_t(material.eta, mu)) + entering * towards / ahead
+
+
+def even_terms(material: PublishedMaterial, channel: int, mu: float) -> float:
+    """The same by the sum of the paper's terms."""
     sigma_a, sigma_sp = material.sigma_a_per_mm[channel], material.sigma_sp_per_mm[channel]
     transmitted = float(fresnel_t(material.eta, mu))
     diffuse = float(dipole.total_r(dipole.Medium(sigma_a, sigma_sp, material.eta)))
@@ -115,11 +133,9 @@ def across_spot(r_lo: float, r_hi: float, spot: float, log2_n: int = 17) -> Floa
 
 
 def beam_reference(edges: Floats, spot: float) -> Floats:
-    """Dipole plus single scattering, of the flux that entered, spread over the spot; mean over each annulus."""
-    medium = dipole.Medium(**MARBLE)
+    """R_d of the table, of the flux that entered, spread over the spot; mean over each annulus."""
     grid = np.geomspace(1e-3, 40, 2000)
-    first = scoped_x64(single.first_order_rd)(MARBLE["sigma_sp"], MARBLE["sigma_a"], 0.0, MARBLE["eta"], grid)
-    profile = np.asarray(scoped_x64(dipole.rd)(medium, grid)) + np.asarray(first)
+    profile = np.asarray(scoped_x64(table_model(MARBLE["eta"], 0.0).rd)(dipole.Medium(**MARBLE), grid))
     means = [
         np.exp(np.interp(np.log(across_spot(low, high, spot)), np.log(grid), np.log(profile))).mean()
         for low, high in itertools.pairwise(edges)

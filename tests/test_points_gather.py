@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from bssrdf.render.kernel import DISCS, WIDEST, Kernels, kernels, radii
 from bssrdf.render.points.gather import gather
-from bssrdf.render.points.kernel import DISCS, WIDEST, Kernels, kernels, radii
 from bssrdf.transport import dipole, scoped_x64, table_model
 
 Floats = NDArray[np.float64]

@@ -21,6 +21,7 @@ from mitsuba_scenes import (
     beam,
     beam_reference,
     even_light,
+    even_terms,
     leaving_annulus,
     plane,
     radiance,
@@ -28,10 +29,10 @@ from mitsuba_scenes import (
     towards_origin,
 )
 
-from bssrdf.render import paths, probes, sampling
+from bssrdf.render import paths
 from bssrdf.render.integrator import register
 from bssrdf.render.variant import use_variant
-from bssrdf.transport import dipole
+from bssrdf.transport import dipole, table_model
 from bssrdf.transport.fresnel import exit_norm, fresnel_t
 from bssrdf.transport.materials import PublishedMaterial, load_materials
 from bssrdf.transport.precision import scoped_x64
@@ -42,36 +43,37 @@ Floats = NDArray[np.float64]
 pytestmark = pytest.mark.usefixtures("mitsuba_mono")
 
 
-def test_profile_around_a_narrow_beam_is_dipole_plus_single_scattering() -> None:
+def test_profile_around_a_narrow_beam_is_that_of_the_table() -> None:
     edges = np.array([0.2, 0.4, 0.8, 2.0, 5.0, 12.0])
     scene = scene_of(MARBLE, beam=beam(0.1))
     n = 1 << 18
     found = []
     for low, high in itertools.pairwise(edges.tolist()):
         rays = leaving_annulus(low, high, n, seed=3)
-        found.append([math.pi * value[0] for value in radiance(scene, rays, n, terms="diffusion,single", max_depth=2)])
+        found.append([math.pi * value[0] for value in radiance(scene, rays, n, view=12.0, max_depth=2)])
     values, errors = np.array(found).T
     expected = beam_reference(edges, 0.1)
     assert np.all(errors < 0.006 * expected)
-    np.testing.assert_allclose(values, expected, rtol=0.01)
+    np.testing.assert_allclose(values, expected, rtol=0.02)
 
 
 # Even light
 
 
 @pytest.mark.parametrize("material", load_materials().values(), ids=lambda material: material.name)
-def test_evenly_lit_slab_is_the_closed_form_of_its_terms(material: PublishedMaterial) -> None:
+def test_evenly_lit_slab_is_the_closed_form_of_the_table(material: PublishedMaterial) -> None:
     use_variant("rgb")
     register()
     sigmas = {
         "sigma_a": {"type": "rgb", "value": list(material.sigma_a_per_mm)},
         "sigma_sp": {"type": "rgb", "value": list(material.sigma_sp_per_mm)},
     }
-    n = 1 << 18
-    value, error = radiance(scene_of(sigmas | {"eta": material.eta}, sky=SKY), towards_origin(n), n)
+    n = 1 << 12
+    value, _ = radiance(
+        scene_of(sigmas | {"eta": material.eta}, plane(2000), sky=SKY), towards_origin(n), n, light_samples=200
+    )
     expected = [even_light(material, channel, VIEW) for channel in range(3)]
-    assert np.all(error < 0.006 * np.array(expected))
-    np.testing.assert_allclose(value, expected, rtol=0.01)
+    np.testing.assert_allclose(value, expected, rtol=0.005)
 
 
 def sky_emitters() -> dict[str, dict[str, Any]]:
@@ -91,44 +93,44 @@ def test_light_of_any_kind_enters_alike(kind: str) -> None:
 
 @pytest.mark.parametrize("kind", ["point", "directional"])
 def test_light_from_one_direction_enters_as_the_lobes_say(kind: str) -> None:
-    """Irradiance cos θ along the way of the view: R Ft²/(π C) cos θ of it comes back by diffusion."""
+    """Irradiance cos θ along the way of the view: both lobes of the table, R and cos θ of it come back scattered."""
     away = [-math.sqrt(1 - VIEW * VIEW), 0, VIEW]
     lights = {
         "directional": {"type": "directional", "direction": [-x for x in away], "irradiance": 1.0},
         "point": {"type": "point", "position": [400 * x for x in away], "intensity": 400.0**2},
     }
-    n = 1 << 16
-    value, error = radiance(scene_of(MARBLE, light=lights[kind]), towards_origin(n), n, terms="diffusion")
-    total = float(scoped_x64(dipole.total_r)(dipole.Medium(**MARBLE)))
-    lobe = float(fresnel_t(MARBLE["eta"], VIEW)) ** 2 / (math.pi * float(exit_norm(MARBLE["eta"])))
-    assert value[0] == pytest.approx(total * lobe * VIEW, abs=4 * error[0], rel=2e-3)
+    n = 1 << 12
+    value, _ = radiance(scene_of(MARBLE, light=lights[kind]), towards_origin(n), n)
+    medium, model = dipole.Medium(**MARBLE), table_model(MARBLE["eta"], 0.0)
+    total = float(scoped_x64(model.total)(medium))
+    towards, ahead = (float(scoped_x64(model.total_radiance_factor)(medium, mu)) for mu in (VIEW, 1.0))
+    expected = total * towards / math.pi * towards / ahead * float(fresnel_t(MARBLE["eta"], 1.0)) * VIEW
+    assert value[0] == pytest.approx(expected, rel=5e-3)
 
 
 @pytest.mark.parametrize("alpha", [0.0, 0.3])
 def test_furnace_of_a_medium_that_absorbs_nothing_gives_back_all_light(alpha: float) -> None:
     white = {"sigma_a": 0.0, "sigma_sp": 2.0, "eta": 1.4, "alpha": alpha}
-    n = 1 << 17
-    value, error = radiance(scene_of(white, sky=SKY), towards_origin(n), n, terms="diffusion,specular")
+    n = 1 << 14
+    value, error = radiance(scene_of(white, plane(2000), sky=SKY), towards_origin(n), n, light_samples=200)
     assert value[0] == pytest.approx(1, abs=0.004 + 3 * error[0])
+
+
+def test_the_dipoles_terms_are_the_closed_form_of_the_paper() -> None:
+    n = 1 << 16
+    marble = PublishedMaterial("", (MARBLE["sigma_sp"],) * 3, (MARBLE["sigma_a"],) * 3, (0.0,) * 3, MARBLE["eta"])
+    value, error = radiance(scene_of(MARBLE, sky=SKY), towards_origin(n), n, kernel="dipole")
+    assert value[0] == pytest.approx(even_terms(marble, 0, VIEW), rel=4e-3, abs=3 * error[0])
 
 
 def test_paper_leaves_the_exit_lobe_without_its_norm() -> None:
     n = 1 << 14
     scene = scene_of(MARBLE, sun={"type": "directional", "direction": [0, 0, -1]})
     ours, paper = (
-        radiance(scene, towards_origin(n), n, terms="diffusion", paper=paper, max_depth=2)[0][0]
+        radiance(scene, towards_origin(n), n, kernel="dipole", terms="diffusion", paper=paper, max_depth=2)[0][0]
         for paper in (False, True)
     )
     assert paper / ours == pytest.approx(float(exit_norm(MARBLE["eta"])), rel=1e-4)
-
-
-def test_exponential_sampling_has_the_same_mean() -> None:
-    n = 1 << 18
-    scene = scene_of(MARBLE, sky=SKY)
-    exact, exponential = (
-        radiance(scene, towards_origin(n), n, terms="diffusion", sampling=law) for law in sampling.LAWS
-    )
-    assert abs(exact[0][0] - exponential[0][0]) < 4 * math.hypot(exact[1][0], exponential[1][0])
 
 
 # Light sampling
@@ -141,24 +143,14 @@ def test_light_sampling_and_the_paths_own_directions_agree(monkeypatch: pytest.M
         "emitter": {"type": "area", "radiance": 1.0},
     }
     scene = scene_of({"sigma_a": 0.1, "sigma_sp": 1.0, "eta": 1.3, "alpha": 0.2}, panel=panel)
-    n = 1 << 18
-    for term in paths.TERMS:
-        both, both_error = radiance(scene, towards_origin(n), n, terms=term)
+    n = 1 << 16
+    for term in ("single", "specular"):
+        both, both_error = radiance(scene, towards_origin(n), n, kernel="dipole", terms=term)
         with monkeypatch.context() as without:
             without.setattr(paths.Tracer, "_direct", lambda *_: mi.Spectrum(0))
             without.setattr(paths.Tracer, "_light_pdf", lambda *_: mi.Float(0))
-            alone, alone_error = radiance(scene, towards_origin(n), n, seed=1, terms=term)
+            alone, alone_error = radiance(scene, towards_origin(n), n, seed=1, kernel="dipole", terms=term)
         assert abs(both[0] - alone[0]) < 4 * math.hypot(both_error[0], alone_error[0]) + 2e-3 * both[0], term
-
-
-def test_a_spots_rays_and_the_probes_agree(monkeypatch: pytest.MonkeyPatch) -> None:
-    scene = scene_of(MARBLE, spot=beam(3.0))
-    n = 1 << 17
-    both, error = radiance(scene, towards_origin(n), n, terms="diffusion", max_depth=2)
-    monkeypatch.setattr("bssrdf.render.spots.SPOT", "none of them")
-    alone, alone_error = radiance(scene, towards_origin(n), n, seed=1, terms="diffusion", max_depth=2)
-    assert abs(both[0] - alone[0]) < 4 * math.hypot(error[0], alone_error[0])
-    assert error[0] < alone_error[0]
 
 
 def test_light_through_a_pane_without_refraction_is_the_same() -> None:
@@ -170,21 +162,21 @@ def test_light_through_a_pane_without_refraction_is_the_same() -> None:
     n = 1 << 16
     open_air, first = radiance(scene_of(MARBLE, sky=SKY), towards_origin(n), n)
     behind, second = radiance(scene_of(MARBLE, sky=SKY, pane=pane), towards_origin(n), n)
-    assert abs(open_air[0] - behind[0]) < 4 * math.hypot(first[0], second[0])
+    assert abs(open_air[0] - behind[0]) < 4 * math.hypot(first[0], second[0]) + 4e-3
 
 
 # Limits and symmetries
 
 
 @pytest.mark.parametrize("scale", [1e3, 1e6], ids=["short", "below single precision"])
-def test_short_mean_free_path_is_the_brdf(scale: float) -> None:
+@pytest.mark.parametrize("kernel", ["table", "dipole"])
+def test_short_mean_free_path_is_the_brdf(scale: float, kernel: str) -> None:
     sun = {"type": "directional", "direction": [1, 0, -1]}
     scene = scene_of(MARBLE | {"scale": scale, "g": 0.3}, {"type": "sphere", "radius": 1.0}, sun=sun)
     n = 1 << 17
-    for term in ("diffusion", "single"):
-        far, far_error = radiance(scene, around(1.0, n), n, terms=term)
-        local, local_error = radiance(scene, around(1.0, n), n, type="bssrdf_brdf", terms=term)
-        assert abs(far[0] - local[0]) < 0.01 * local[0] + 4 * math.hypot(far_error[0], local_error[0])
+    far, far_error = radiance(scene, around(1.0, n), n, kernel=kernel)
+    local, local_error = radiance(scene, around(1.0, n), n, type="bssrdf_brdf", kernel=kernel)
+    assert abs(far[0] - local[0]) < 0.01 * local[0] + 4 * math.hypot(far_error[0], local_error[0])
 
 
 def test_three_mono_renders_are_one_rgb() -> None:
@@ -204,20 +196,18 @@ def test_three_mono_renders_are_one_rgb() -> None:
         "sigma_sp": {"type": "rgb", "value": list(marble.sigma_sp_per_mm)},
     }
     rgb, rgb_error = radiance(scene_of(colours | {"eta": 1.5}, sphere, sky=SKY), around(4.0, n), n)
-    assert np.all(np.abs(rgb - mono) < 4 * np.hypot(rgb_error, mono_error))
+    assert np.all(np.abs(rgb - mono) < 4 * np.hypot(rgb_error, mono_error) + 2e-3 * rgb)
 
 
-def test_diffusion_is_reciprocal_on_a_plane_and_on_a_sphere() -> None:
-    source = sampling.dipole(mi.Spectrum(0.05), mi.Spectrum(1.0), mi.Float(2.0))
-    rng = np.random.default_rng(5)
-    n_i, n_o = (v / np.linalg.norm(v, axis=0) for v in rng.normal(size=(2, 3, 100)))
-    sphere = [(2 * n_i, n_i, 2 * n_o, n_o)]
-    up = np.broadcast_to([[0.0], [0.0], [1.0]], (3, 100))
-    flat = [(n_i * [[1], [1], [0]], up, n_o * [[1], [1], [0]], up)]
-    for x_i, normal_i, x_o, normal_o in sphere + flat:
-        there = probes.rd_between(source, mi.Vector3f(x_i - x_o), mi.Normal3f(normal_i))
-        back = probes.rd_between(source, mi.Vector3f(x_o - x_i), mi.Normal3f(normal_o))
-        np.testing.assert_allclose(np.array(there), np.array(back), rtol=1e-4)
+def test_light_and_view_can_change_places() -> None:
+    """A lamp's light seen along one direction is that of a lamp there seen along the other, for equal irradiance."""
+    found = []
+    n = 1 << 12
+    for seen, lit in ((0.9, 0.4), (0.4, 0.9)):
+        away = [-math.sqrt(1 - lit * lit), 0, lit]
+        sun = {"type": "directional", "direction": [-x for x in away], "irradiance": 1 / lit}
+        found.append(radiance(scene_of(MARBLE, sun=sun), towards_origin(n, seen), n)[0][0])
+    assert found[0] == pytest.approx(found[1], rel=3e-3)
 
 
 @pytest.mark.parametrize(
@@ -230,11 +220,11 @@ def test_diffusion_is_reciprocal_on_a_plane_and_on_a_sphere() -> None:
     ],
     ids=["no absorption", "albedo 0.999999", "no scattering", "black"],
 )
-@pytest.mark.parametrize("law", sampling.LAWS)
-def test_hard_media_give_finite_pictures(medium: dict[str, Any], law: str) -> None:
+@pytest.mark.parametrize("kernel", ["table", "dipole"])
+def test_hard_media_give_finite_pictures(medium: dict[str, Any], kernel: str) -> None:
     n = 1 << 12
     light = {"sky": SKY, "beam": beam(0.01)}
     for shape, rays in ((None, towards_origin(n, 1.0)), ({"type": "sphere"}, around(1.0, n))):
-        value, _ = radiance(scene_of(medium, shape, **light), rays, n, sampling=law)
+        value, _ = radiance(scene_of(medium, shape, **light), rays, n, kernel=kernel)
         assert np.isfinite(value[0])
         assert value[0] >= 0

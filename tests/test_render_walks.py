@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 pytest.importorskip("mitsuba", reason='Mitsuba is not installed: pip install "bssrdf[render]"')
 
+from bssrdf.render.kernel import kernels
 from bssrdf.render.points import leap, walk
 from bssrdf.render.points.blend import even_return, mended, shifted, sparse_faces
-from bssrdf.render.points.kernel import kernels
 from bssrdf.render.points.record import BodySurface, Entered
 from bssrdf.render.points.walk import Inside, walked
 from bssrdf.transport.fresnel import fresnel_t

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from bssrdf.render.interface import transmittance_table
-from bssrdf.render.points.kernel import Kernels, cosines
+from bssrdf.render.kernel import Kernels, cosines
 from bssrdf.render.points.record import BodySurface, Entered, Floats, Integers
 from bssrdf.render.points.walk import Inside, Walked, walked
 

@@ -14,7 +14,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from bssrdf.render.points.kernel import DISCS, FIRST, PER_OCTAVE, WIDEST, Kernels
+from bssrdf.render.kernel import DISCS, FIRST, OCTAVES, PER_OCTAVE, WIDEST, Kernels
 from bssrdf.render.points.record import Floats
 from bssrdf.render.points.tree import LightTree, Singles, build_tree
 
@@ -26,7 +26,9 @@ _DEEPEST = 64
 _STEEP = 0.5
 """Radius of a node over the length 1/σtr in which light falls, from which on a disc does not stand for it…"""
 _COUNTS = 2e-3
-"""…where it sends more than that, over what was found so far, nearer ones first."""
+"""…where it sends more than that, over what was found so far, nearer ones first…"""
+_LEAST = 1e-7
+"""…and more than that over what leaves where most light enters."""
 
 
 def gather(
@@ -61,6 +63,7 @@ def gather(
         scale,
         np.log2(scale / np.float32(FIRST)),
         decay,
+        (_LEAST * light.max(axis=(0, 1)) * table.total.max()).astype(np.float32),
         _single(opening),
     )
     return np.asarray(found, np.float64)
@@ -87,6 +90,7 @@ def _sum(
     scale: Singles,
     octave: Singles,
     decay: Singles,
+    least: Singles,
     opening: float,
 ) -> Singles:
     centre, radius, spread, flux, triangle = tree
@@ -111,7 +115,7 @@ def _sum(
                 _from_afar(sums[0, 0], way, d2, spread[node], flux[node], discs, row[p], share[p], scale[p], octave[p])
                 for c in range(n_channels):
                     steep = radius[node] * decay[p, c] > _single(_STEEP)
-                    small = small and not (steep and sums[0, 0, c] > _single(_COUNTS) * found[c])
+                    small = small and not (steep and sums[0, 0, c] > max(_single(_COUNTS) * found[c], least[c]))
             if small:
                 for c in range(n_channels):
                     found[c] += sums[0, 0, c]
@@ -160,6 +164,9 @@ def _from_afar(
         value = _of_disc(discs, row[c], k, t, j, f, across)
         if share[c] > 0:
             value += share[c] * (_of_disc(discs, row[c] + 1, k, t, j, f, across) - value)
+        beyond = log_r + octave[c] - _single(OCTAVES)
+        if beyond > 0:
+            value *= _single(2) ** (-3 * beyond)  # diffusing light goes on as the cube of the radius
         found[c] = flux[c] * value * scale[c] * scale[c]
 
 

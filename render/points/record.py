@@ -8,11 +8,11 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from bssrdf.render.kernel import Kernel
+
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
-Kernel = Literal["table", "dipole"]
-KERNELS: tuple[Kernel, ...] = ("table", "dipole")
 Method = Literal["points", "walks"]
 METHODS: tuple[Method, ...] = ("points", "walks")
 
@@ -81,7 +81,7 @@ class LightPlan:
     opening: float = 0.6
     """Radius over distance below which many triangles count as one."""
     walks: int = 16
-    """From each place, where the method is walks."""
+    """From each place and channel, where the method is walks."""
     seed: int = 0
     most: int = 4_000_000
     """Triangles of a body, for the memory they need."""

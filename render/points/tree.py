@@ -34,12 +34,12 @@ def build_tree(corners: Floats, light: Floats) -> LightTree:
     levels = max(1, math.ceil(math.log2(max(len(corners), 2))))
     leaves = 1 << levels
     triangle = np.full(leaves, -1, np.int32)
-    order, starts = _halved(corners.mean(axis=1), levels)
+    ordered, starts = _halved(corners.mean(axis=1), levels)
     held = np.diff(starts) > 0
     n_channels = light.shape[-1]
     centre, spread, flux = np.zeros((2 * leaves, 3)), np.zeros((2 * leaves, 6)), np.zeros((2 * leaves, n_channels))
     low, high = np.full((2 * leaves, 3), np.inf), np.full((2 * leaves, 3), -np.inf)
-    leaf, chosen = leaves + np.flatnonzero(held), order[starts[:-1][held]]
+    leaf, chosen = leaves + np.flatnonzero(held), ordered[starts[:-1][held]]
     triangle[held] = chosen
     centre[leaf], spread[leaf], flux[leaf] = _moments(corners, light, chosen)
     low[leaf], high[leaf] = corners[chosen].min(axis=1), corners[chosen].max(axis=1)
@@ -93,18 +93,23 @@ def _sum_up(levels: int, centre: Floats, spread: Floats, flux: Floats, low: Floa
         low[node], high[node] = np.minimum(low[left], low[right]), np.maximum(high[left], high[right])
 
 
+def order(points: Floats) -> Integers:
+    """An order of the points (n, 3) in which neighbours follow each other."""
+    return _halved(points, max(1, math.ceil(math.log2(max(len(points), 2)))))[0]
+
+
 def _mean(values: Floats, left: Integers, right: Integers, share: Floats) -> Floats:
     return share[:, None] * values[left] + (1 - share)[:, None] * values[right]
 
 
 def _halved(points: Floats, levels: int) -> tuple[Integers, Integers]:
     """An order of the points in which halves of halves lie together, and where each of the 2^levels parts starts."""
-    order, starts = np.arange(len(points)), np.array([0, len(points)])
+    ordered, starts = np.arange(len(points)), np.array([0, len(points)])
     for _ in range(levels):
-        _sort_parts(points, order, starts)
+        _sort_parts(points, ordered, starts)
         middles = (starts[:-1] + starts[1:] + 1) // 2
         starts = np.append(np.stack([starts[:-1], middles], axis=1).ravel(), starts[-1])
-    return order, starts
+    return ordered, starts
 
 
 @numba.njit(cache=True, parallel=True)

@@ -9,15 +9,18 @@ from __future__ import annotations
 import hashlib
 import math
 import zipfile
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bssrdf import __version__
-from bssrdf.render.points.record import Floats, Kernel
 from bssrdf.session import atomic_write
 from bssrdf.transport import cache_directory
+
+Floats = NDArray[np.float64]
+Kernel = Literal["table", "dipole"]
+KERNELS: tuple[Kernel, ...] = ("table", "dipole")
 
 FIRST = 2.0**-10
 """Of the radii; a shortest mean free path is not under 2⁻⁵ (g = 0.95), and nearer than that light falls as 1/r."""
@@ -124,7 +127,7 @@ def _tables(fine: Floats, rd: Floats, total: float) -> tuple[Floats, Floats]:
     scale = total / (2 * math.pi * flux[-1])
     r = radii()
     inside = np.stack([np.interp(np.log(r), np.log(fine), scale * whole) for whole in (flux, moment)], axis=-1)
-    return _discs(r, np.log(fine), np.log(rd * scale)), inside
+    return _discs(r, np.log(fine), np.log(np.maximum(rd * scale, 1e-290))), inside
 
 
 def _integral(x: Floats, y: Floats) -> Floats:

@@ -1,0 +1,134 @@
+"""The light that enters a body: a path from a point of each triangle, a few times over.
+
+The points, the places on lamps and the directions of all triangles together form one sequence that fills space evenly.
+Neighbours follow each other in it, so that what is then summed over a neighbourhood has little noise.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from bssrdf.render.interface import refract_in
+from bssrdf.render.medium import Optics
+from bssrdf.render.paths import Tracer
+from bssrdf.render.points.record import BodySurface, Entered, Floats
+
+_CHUNK = 1 << 20
+_LEAST_PATHS = 1 << 18
+"""Into a body, though its triangles be few: the light that leaves then has a noise of some thousandths."""
+_RATIO = 1.1127756842787055
+"""x⁷ = x + 1: its powers are the steps of an additive sequence that fills six dimensions evenly (Roberts 2018)."""
+_STEPS = [int((1 / _RATIO ** (k + 1)) % 1 * 2**32) for k in range(6)]
+
+
+@dataclass(frozen=True)
+class Arrived:
+    """Flux at the corners of the triangles by their hat functions, over a third of the triangle: (m, 3, channels)."""
+
+    table: Floats
+    fresnel: Floats
+    direction: Floats
+    """Unit vector inside times the flux of all channels, (m, 3, 3)."""
+
+    def at_vertices(self, surface: BodySurface) -> Entered:
+        """Means over the triangles round each vertex."""
+        third = surface.triangle_areas() / 3
+        fresnel = _collected(surface, self.fresnel, third)
+        weight = _collected(surface, self.fresnel.sum(axis=2, keepdims=True), third)
+        direction = _collected(surface, self.direction, third) / np.maximum(weight, 1e-300)
+        return Entered(_collected(surface, self.table, third), fresnel, direction)
+
+
+def _collected(surface: BodySurface, values: Floats, third: Floats) -> Floats:
+    weight = np.bincount(surface.faces.ravel(), np.repeat(third, 3), len(surface.vertices))
+    parts = [
+        np.bincount(surface.faces.ravel(), (values[..., c] * third[:, None]).ravel(), len(surface.vertices))
+        for c in range(values.shape[-1])
+    ]
+    return np.stack(parts, axis=1) / np.maximum(weight, 1e-300)[:, None]
+
+
+def arrive(tracer: Tracer, mesh: Any, surface: BodySurface, samples: int, seed: int) -> Arrived:
+    """What arrives at a mesh of the tracer's scene, whose triangles are the surface's, by `samples` of each or more."""
+    n, n_channels = len(surface.faces), dr.size_v(mi.Spectrum)
+    samples = max(samples, -(-_LEAST_PATHS // n))
+    found = np.empty((n, 3, 2 * n_channels + 3))
+    size = max(1, _CHUNK // samples)
+    for low in range(0, n, size):
+        count = min(size, n - low)
+        sampler = mi.load_dict({"type": "independent"})
+        sampler.seed(seed * 7919 + low // size, count * samples)
+        path = dr.opaque(mi.UInt32, low * samples) + dr.arange(mi.UInt32, count * samples)
+        u = [_uniform(path, step, seed * 6 + i) for i, step in enumerate(_STEPS)]
+        light, corners = _sample(tracer, mesh, path // dr.opaque(mi.UInt32, samples), u, sampler)
+        dr.eval(light, corners)  # together, else each would trace the paths anew
+        values = np.array(light, np.float32).reshape(-1, count, samples)
+        hats = np.array(corners, np.float32).reshape(3, count, samples)
+        found[low : low + count] = 3 / samples * np.einsum("hns,vns->nhv", hats, values, optimize=True)
+    return Arrived(*np.split(found, [n_channels, 2 * n_channels], axis=2))
+
+
+def _uniform(number: Any, step: int, stream: int) -> Any:
+    """The number's term of an additive sequence, from a start that the stream decides."""
+    start = int(np.random.default_rng(stream).integers(1 << 32))
+    return mi.Float((number * mi.UInt32(step) + dr.opaque(mi.UInt32, start)) >> 8) * 2.0**-24
+
+
+def _sample(tracer: Tracer, mesh: Any, face: Any, u: list[Any], sampler: Any) -> tuple[list[Any], Any]:
+    """Light at one point of each face: by the table, by Fresnel, and its direction; and the point."""
+    b = mi.warp.square_to_uniform_triangle(mi.Point2f(u[0], u[1]))
+    hit = dr.zeros(mi.PreliminaryIntersection3f, dr.width(face))
+    hit.valid, hit.prim_uv, hit.prim_index, hit.shape = mi.Bool(True), b, face, mi.ShapePtr(mesh)
+    si = hit.compute_surface_interaction(dr.zeros(mi.Ray3f, dr.width(face)), +mi.RayFlags.All, mi.Bool(True))
+    row, _ = tracer.media.row(si, mi.Bool(True))
+    point = _Point(tracer, si, tracer.media.optics(si, row, mi.Bool(True)), tracer.media.normal(si, row, mi.Bool(True)))
+    point.by_lamp(mi.Point2f(u[2], u[3]))
+    point.by_bounce(mi.Point2f(u[4], u[5]), sampler)
+    return [*point.table, *point.fresnel, *point.direction], mi.Vector3f(1 - b.x - b.y, b.x, b.y)
+
+
+class _Point:
+    """What has arrived so far at a point of a body."""
+
+    def __init__(self, tracer: Tracer, si: Any, optics: Optics, normal: Any) -> None:
+        self._tracer = tracer
+        self._si = si
+        self._optics = optics
+        self._normal = mi.Normal3f(normal)
+        self.table = mi.Spectrum(0)
+        self.fresnel = mi.Spectrum(0)
+        self.direction = mi.Vector3f(0)
+
+    def by_lamp(self, u: Any) -> None:
+        ds, light = self._tracer.scene.sample_emitter_direction(self._si, u, True)
+        cos = dr.maximum(dr.dot(self._normal, ds.d), 0)
+        lit = (cos > 0) & (dr.dot(self._si.n, ds.d) > 0) & (ds.pdf > 0)
+        share = dr.select(ds.delta, 1, ds.pdf / (ds.pdf + cos / dr.pi))
+        self._add(ds.d, cos, dr.select(lit, light * cos * share, 0))
+
+    def by_bounce(self, u: Any, sampler: Any) -> None:
+        tracer = self._tracer
+        local = mi.warp.square_to_cosine_hemisphere(u)
+        direction = mi.Frame3f(self._normal).to_world(local)
+        path = tracer.start(self._si.spawn_ray(direction), dr.dot(direction, self._si.n) > 0)
+        path.last, path.last_pdf, path.last_delta = mi.Interaction3f(self._si), local.z / dr.pi, mi.Bool(False)
+        path, _ = dr.while_loop(
+            (path, sampler),
+            lambda path, _: path.active,
+            lambda path, sampler: (tracer.step(path, sampler), sampler),
+            label="arriving light",
+        )
+        self._add(direction, local.z, dr.pi * path.radiance)
+
+    def _add(self, direction: Any, cos: Any, light: Any) -> None:
+        media = self._tracer.media
+        fresnel = light * media.transmittance(self._optics, cos)
+        inside = -refract_in(direction, self._normal, self._optics.eta)
+        self.table += light * media.entering(self._optics, cos)
+        self.fresnel += fresnel
+        self.direction += inside * dr.sum(fresnel)

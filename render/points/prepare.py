@@ -1,0 +1,196 @@
+"""All that is found before a picture is drawn: bodies refined, the light that enters them, the light that leaves."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from bssrdf.render.medium import Media
+from bssrdf.render.mesh_file import openings
+from bssrdf.render.paths import EXITANCE, Settings, Tracer
+from bssrdf.render.points.blend import mended
+from bssrdf.render.points.enter import Arrived, arrive
+from bssrdf.render.points.fineness import spots_on, target_edge
+from bssrdf.render.points.gather import gather
+from bssrdf.render.points.record import BodySurface, Floats, LightPlan
+from bssrdf.render.points.spread import is_closed, refine, surface_of
+from bssrdf.render.points.walk import Inside
+
+Progress = Callable[[str, int, int], None]
+
+
+@dataclass(frozen=True)
+class Lit:
+    """A body as it stands in the prepared scene."""
+
+    name: str
+    mesh: Any
+    surface: BodySurface
+    arrived: Arrived
+    exitance: Floats
+    """Radiant exitance of each vertex, (n, channels)."""
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """A scene whose bodies' vertices hold the light that leaves them."""
+
+    given: Any
+    """The scene that it was made of, so that no other takes its place in memory."""
+    scene: Any
+    bodies: tuple[Lit, ...]
+    tracer: Tracer
+
+
+def prepare(scene: Any, sensor: Any | None, settings: Settings, plan: LightPlan, progress: Progress | None) -> Prepared:
+    """Find the light under all surfaces of a scene as the sensor will look at them."""
+    media = Media(scene, settings.kernel)
+    for line in openings(media.shapes):
+        warnings.warn(line, stacklevel=2)
+    surfaces = [_refined(scene, shape, media, sensor, plan) for shape in media.shapes]
+    meshes = [_mesh(shape, surface) for shape, surface in zip(media.shapes, surfaces, strict=True)]
+    finer = _rebuilt(scene, media.shapes, meshes)
+    inner = replace(settings, local=True, max_depth=Settings.max_depth, hide_emitters=False)
+    first = Tracer(finer, inner)
+    bodies = []
+    for number, (shape, mesh, surface) in enumerate(zip(media.shapes, meshes, surfaces, strict=True)):
+        if progress is not None:
+            progress(f"light into {shape.id()}", number, len(meshes))
+        arrived = arrive(first, mesh, surface, plan.light_samples, plan.seed)
+        bodies.append(_Dark(shape.id(), mesh, surface, arrived))
+    lit = tuple(_leave(first.media, body, bodies, plan) for body in bodies)
+    return Prepared(scene, finer, lit, Tracer(finer, settings))
+
+
+@dataclass(frozen=True)
+class _Dark:
+    name: str
+    mesh: Any
+    surface: BodySurface
+    arrived: Arrived
+
+
+def _refined(scene: Any, shape: Any, media: Media, sensor: Any | None, plan: LightPlan) -> BodySurface:
+    surface = surface_of(shape)
+    optics = _optics(media, shape, surface)
+    lengths = 1 / np.maximum(optics.sigma_tp.mean(axis=0), 1e-30)
+    path = float(np.sqrt(lengths.min() * lengths.mean()))
+    target = target_edge(path, sensor, spots_on(scene, shape.bsdf()), plan)
+    return _ordered(refine(surface, target, plan.most))
+
+
+def _ordered(surface: BodySurface) -> BodySurface:
+    """Faces so that neighbours follow each other."""
+    from bssrdf.render.points.tree import order
+
+    return replace(surface, faces=surface.faces[order(surface.vertices[surface.faces].mean(axis=1))])
+
+
+@dataclass(frozen=True)
+class _Coefficients:
+    """Of the medium under each vertex, (n, channels)."""
+
+    albedo: Floats
+    sigma_tp: Floats
+    total: Floats
+
+
+def _optics(media: Media, shape: Any, surface: BodySurface) -> _Coefficients:
+    n, n_channels = len(surface.vertices), dr.size_v(mi.Spectrum)
+    si = dr.zeros(mi.SurfaceInteraction3f, n)
+    si.shape, si.uv = mi.ShapePtr(shape), mi.Point2f(surface.uv.T.astype(np.float32))
+    row, _ = media.row(si, mi.Bool(True))
+    optics = media.optics(si, row, mi.Bool(True))
+    parts = (optics.sigma_a, optics.sigma_sp, media.total(optics))
+    sigma_a, sigma_sp, total = (
+        np.broadcast_to(np.array(part, np.float64).reshape(n_channels, -1).T, (n, n_channels)) for part in parts
+    )
+    sigma_tp = sigma_a + sigma_sp
+    return _Coefficients(sigma_sp / np.maximum(sigma_tp, 1e-30), sigma_tp, total)
+
+
+def _mesh(shape: Any, surface: BodySurface) -> Any:
+    properties = mi.Properties()
+    properties["bsdf"] = shape.bsdf()
+    built = mi.Mesh(
+        shape.id(),
+        len(surface.vertices),
+        len(surface.faces),
+        props=properties,
+        has_vertex_normals=True,
+        has_vertex_texcoords=True,
+    )
+    held = mi.traverse(built)
+    held["vertex_positions"] = mi.Float(surface.vertices.astype(np.float32).ravel())
+    held["vertex_normals"] = mi.Float(surface.normals.astype(np.float32).ravel())
+    held["vertex_texcoords"] = mi.Float(surface.uv.astype(np.float32).ravel())
+    held["faces"] = mi.UInt32(surface.faces.astype(np.uint32).ravel())
+    held.update()
+    return built
+
+
+def _rebuilt(scene: Any, shapes: list[Any], meshes: list[Any]) -> Any:
+    """The scene with these meshes in the place of the shapes."""
+    bodies = {id(shape) for shape in shapes}
+    kept = [shape for shape in scene.shapes() if id(shape) not in bodies]
+    lights = [light for light in scene.emitters() if light.get_shape() is None]
+    things = {f"thing{i}": thing for i, thing in enumerate([*meshes, *kept, *lights])}
+    return mi.load_dict({"type": "scene", **things}, optimize=False)
+
+
+def _leave(media: Media, body: _Dark, bodies: list[_Dark], plan: LightPlan) -> Lit:
+    """Sum the light of all shapes that share the body's surface, and put what leaves on its vertices."""
+    same = [other for other in bodies if other.mesh.bsdf() == body.mesh.bsdf()]
+    optics = _optics(media, body.mesh, body.surface)
+    exitance = _by_points(media, body, same, optics, plan)
+    if plan.method == "walks":
+        exitance = _by_walks(media, body, same, optics, exitance, plan)
+    over = (exitance / np.maximum(optics.total, 1e-30)).astype(np.float32)
+    body.mesh.add_attribute(EXITANCE, over.shape[1], mi.Float(over.ravel()))
+    return Lit(body.name, body.mesh, body.surface, body.arrived, exitance)
+
+
+def _by_points(media: Media, body: _Dark, same: list[_Dark], optics: _Coefficients, plan: LightPlan) -> Floats:
+    first, place = body.surface.places()
+    return gather(
+        np.concatenate([other.surface.vertices[other.surface.faces] for other in same]),
+        np.concatenate([other.arrived.table for other in same]),
+        body.surface.vertices[first],
+        media.tables[_row(media, body)],
+        optics.albedo[first],
+        optics.sigma_tp[first],
+        plan.opening,
+    )[place]
+
+
+def _row(media: Media, body: _Dark) -> int:
+    return next(i for i, surface in enumerate(media.surfaces) if surface is body.mesh.bsdf().surface)
+
+
+def _by_walks(
+    media: Media, body: _Dark, same: list[_Dark], optics: _Coefficients, exitance: Floats, plan: LightPlan
+) -> Floats:
+    """What points find, mended; where a body is open or its coefficients vary, it is left as it is."""
+    surface = media.surfaces[_row(media, body)]
+    if surface.textured or len(same) > 1 or not is_closed(body.surface):
+        what = "varies over its surface" if surface.textured else "is open or of several shapes"
+        warnings.warn(f'shape "{body.name}" {what}: its light is that of points on a half space', stacklevel=2)
+        return exitance
+    sigma_tp = optics.sigma_tp[0]
+    sigma_sp = optics.albedo[0] * sigma_tp
+    inside = Inside(sigma_tp - sigma_sp, sigma_sp, surface.eta, surface.g, surface.alpha)
+    return mended(
+        body.surface,
+        body.arrived.at_vertices(body.surface),
+        inside,
+        exitance,
+        media.even_share(_row(media, body)),
+        walks=plan.walks,
+        seed=plan.seed,
+    )
