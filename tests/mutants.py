@@ -162,28 +162,22 @@ PHYSICS = (
     Mutant(
         "merge: darks are not subtracted",
         "measure/accumulate.py",
-        """            light = np.float32(raw[row, i]) - np.float32(dark[row, i])
-            light += bend * light * (light - pivot)
-            good = np.float32(raw[row, i]) < limit[i]
-            signal""",
-        """            light = np.float32(raw[row, i])
-            light += bend * light * (light - pivot)
-            good = np.float32(raw[row, i]) < limit[i]
-            signal""",
+        "light = np.subtract(raw, dark, dtype=np.float32)",
+        "light = np.subtract(raw, 0, dtype=np.float32)",
         ("merge::negatives_are_kept", "merge::a_clipped_black"),
     ),
     Mutant(
         "merge: Σt counts saturated samples too",
         "measure/accumulate.py",
-        "seconds[row, i] += t if good else np.float32(0)",
-        "seconds[row, i] += t",
+        "seconds[at] += t if good is None else t * good",
+        "seconds[at] += t",
         ("merge::a_clipped_black",),
     ),
     Mutant(
         "merge: saturated samples weigh like others",
         "measure/accumulate.py",
-        "weight[row, i] += w * t if good else np.float32(0)",
-        "weight[row, i] += w * t",
+        "w = _kept(np.reciprocal(noise.variance(expected[at])), good)",
+        "w = np.reciprocal(noise.variance(expected[at]))",
         ("merge::a_saturated_sample_is_left_out",),
     ),
     Mutant(
@@ -278,8 +272,8 @@ ERRORS = (
     Mutant(
         "merge: variance without the shot noise",
         "measure/accumulate.py",
-        "w = 1 / (lit * (by_gain + model_var * t * lit) + by_time)",
-        "w = 1 / (lit * model_var * t * lit + by_time)",
+        "return radiance * (1 / self.gain + self.model_var * self.t * radiance) + self.darkness / self.t",
+        "return radiance * self.model_var * self.t * radiance + self.darkness / self.t",
         ("merge::the_variance_map_is_right",),
     ),
     Mutant(
