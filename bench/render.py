@@ -1,8 +1,9 @@
-"""`bssrdf bench render`: noise and model bias of BRDF, BSSRDF and Monte Carlo, apart.
+"""`bssrdf bench render`: error against time of points, walks, BRDF and volpath, each against the best truth there is.
 
-Short seeded runs of all methods take turns in one process, so that a busy machine slows them alike; compilation is
-timed apart. The noise of a method is the variance between its runs, times their time; its bias is its mean against a
-reference of its own seeds.
+Short seeded runs of all methods take turns in one process; times are CPU seconds, preparing included, compilation not.
+A method's noise is the variance between its runs, which find the light under surfaces anew; its bias is its mean
+against what is known in closed form (even sky, shadow's edge, white furnace), or against a long run of volpath, which
+states its own error.
 """
 
 from __future__ import annotations
@@ -14,17 +15,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from bssrdf.bench.render_cases import MATERIALS, METHODS, REFERENCE, RenderCase, cases
-from bssrdf.bench.render_results import KNOWN, CaseResult, ResultRow, write_results
-from bssrdf.bench.render_truth import cut_share, sky_radiance
+from bssrdf.bench.render_cases import MATERIALS, METHODS, REFERENCE, Floats, RenderCase, cases
+from bssrdf.bench.render_results import CaseResult, ResultRow, write_results
+from bssrdf.bench.render_truth import cut_share
 from bssrdf.errors import UsageError
 from bssrdf.measure import Progress
-from bssrdf.render import EPSILON, RenderMaterial, Stage, find_medium, load_stage, render_pass
+from bssrdf.render import EPSILON, Stage, body_mask, find_medium, load_stage, render_pass
 from bssrdf.session import make_folder
 
-Floats = NDArray[np.float64]
 REFERENCE_SE = 0.003
 _REFERENCE_SEED = 1_000_000
 _LEAST_RUNS = 4
@@ -36,19 +35,19 @@ _TILES = 5
 class Effort:
     """How much is rendered for each case."""
 
-    pixels: int = 40
-    runs: int = 5
-    samples: int = 48
-    """A pixel and run, of brdf and bssrdf."""
+    pixels: int = 64
+    runs: int = 4
+    samples: int = 16
+    """Per pixel and run, of all but volpath."""
     mc_samples: int = 4
-    reference_s: float = 15.0
-    """Time for a reference, which stops before where the error of its mean is below REFERENCE_SE."""
+    reference_s: float = 60.0
+    """CPU time for a reference, which stops before where the error of its mean is below REFERENCE_SE."""
     mc_depth: int = 1000
     materials: tuple[str, ...] = MATERIALS
     scenes: tuple[str, ...] | None = None
 
 
-QUICK = Effort(8, 3, 4, 2, 0.5, 40, ("Marble",), ("slab, sky", "ball 3"))
+QUICK = Effort(16, 2, 4, 2, 0.5, 40, ("Marble",), ("sky", "edge", "furnace", "ball 1, matched"))
 
 
 def run_render_bench(
@@ -72,56 +71,72 @@ def run_render_bench(
 
 
 def measure(case: RenderCase, effort: Effort) -> CaseResult:
-    """All methods in turns, then the reference."""
-    stages, compile_s = {}, {}
-    for method in case.methods:
-        began = time.perf_counter()
-        stages[method] = load_stage(case.scene, replace(METHODS[method], mc_depth=effort.mc_depth))
-        render_pass(stages[method], _samples(method, effort), seed=0)
-        compile_s[method] = time.perf_counter() - began
+    """All methods in turns, then the reference where the truth is not known."""
     images: dict[str, list[Floats]] = {method: [] for method in case.methods}
-    times: dict[str, list[float]] = {method: [] for method in case.methods}
-    for run in range(effort.runs):
-        for method, stage in stages.items():
-            began = time.perf_counter()
-            images[method].append(_image(stage, _samples(method, effort), run + 1))
-            times[method].append(time.perf_counter() - began)
-    reference = _reference(stages[case.reference], _samples(case.reference, effort), effort.reference_s)
-    rows = []
-    for method in case.methods:
-        row = _row(case, method, np.stack(images[method]), reference)
-        seconds = float(np.median(times[method]))
-        rows.append(
-            replace(row, samples=_samples(method, effort), seconds=seconds, compile_s=compile_s[method] - seconds)
+    prepare_s: dict[str, list[float]] = {method: [] for method in case.methods}
+    draw_s: dict[str, list[float]] = {method: [] for method in case.methods}
+    for run in range(effort.runs + 1):
+        for method in case.methods:
+            stage, prepared = _prepared(case, method, effort, run)
+            began = time.process_time()
+            image = _image(stage, _samples(method, effort), run)
+            if run > 0:  # the first compiles
+                images[method].append(image)
+                prepare_s[method].append(prepared)
+                draw_s[method].append(time.process_time() - began)
+    truth, cut = _truth(case, effort)
+    mask = body_mask(load_stage(case.scene, METHODS[case.methods[0]]))
+    rows = [
+        replace(
+            _row(case, method, np.stack(images[method]), truth, mask),
+            samples=_samples(method, effort),
+            prepare_s=float(np.median(prepare_s[method])),
+            draw_s=float(np.median(draw_s[method])),
         )
-    cut = _cut(case, effort, reference) if case.reference == REFERENCE else (math.nan,) * 3
-    return CaseResult(tuple(rows), case.reference, cut, _known(case))
+        for method in case.methods
+    ]
+    return CaseResult(tuple(rows), case.truth is None, tuple(_relative_se(truth)), cut)
 
 
-def _reference(stage: Stage, samples: int, limit_s: float) -> Floats:
-    """Images of seeds of their own, until their mean is sure or the time is up."""
+def _prepared(case: RenderCase, method: str, effort: Effort, seed: int) -> tuple[Stage, float]:
+    """The scene anew, its light found from that seed, and the CPU time that took."""
+    stage = load_stage(case.scene, replace(METHODS[method], mc_depth=effort.mc_depth, seed=seed))
+    began = time.process_time()
+    if hasattr(stage.integrator, "prepare"):
+        stage.integrator.prepare(stage.scene, stage.scene.sensors()[0])
+    return stage, time.process_time() - began
+
+
+def _truth(case: RenderCase, effort: Effort) -> tuple[Floats, tuple[float, ...]]:
+    """Images that are true in the mean, (n, h, w, 3), and the share of light that their longest paths cut off."""
+    if case.truth is not None:
+        return np.asarray(case.truth)[None], (0.0,) * 3
+    stage = load_stage(case.scene, replace(METHODS[REFERENCE], mc_depth=effort.mc_depth))
     images: list[Floats] = []
-    began = time.perf_counter()
-    while True:
-        images.append(_image(stage, samples, _REFERENCE_SEED + len(images)))
-        if len(images) < _LEAST_RUNS:
-            continue
-        stack = np.stack(images)
-        if max(_relative_se(stack)) < REFERENCE_SE or time.perf_counter() - began > limit_s:
-            return stack
+    began = time.process_time()
+    while len(images) < _LEAST_RUNS or (
+        max(_relative_se(np.stack(images))) > REFERENCE_SE and time.process_time() - began < effort.reference_s
+    ):
+        images.append(_image(stage, effort.mc_samples, _REFERENCE_SEED + len(images)))
+    stack = np.stack(images)
+    return stack, _cut(case, effort, stack)
 
 
 def _relative_se(images: Floats) -> Floats:
-    """Of the mean of all images, by channel."""
+    """Of the mean of all images, by channel; 0 for what is known."""
     means = images.mean(axis=(1, 2))
+    if len(means) == 1:
+        return np.zeros(means.shape[1])
     return np.asarray(means.std(axis=0, ddof=1) / math.sqrt(len(means)) / np.maximum(means.mean(axis=0), 1e-30))
 
 
-def _row(case: RenderCase, method: str, images: Floats, reference: Floats) -> ResultRow:
+def _row(case: RenderCase, method: str, images: Floats, truth: Floats, mask: Any) -> ResultRow:
     """Without its times."""
     mean = images.mean(axis=(0, 1, 2))
-    ratio = mean / reference.mean(axis=(0, 1, 2))
-    error = ratio * np.hypot(_relative_se(images), _relative_se(reference))
+    ratio = mean / truth.mean(axis=(0, 1, 2))
+    error = ratio * np.hypot(_relative_se(images), _relative_se(truth))
+    target = _target(_smooth(images, truth))
+    noise = (images.var(axis=0, ddof=1) / target)[mask].mean()
     return ResultRow(
         case.scene_name,
         case.material,
@@ -129,12 +144,30 @@ def _row(case: RenderCase, method: str, images: Floats, reference: Floats) -> Re
         0,
         math.nan,
         math.nan,
-        float((images.var(axis=0, ddof=1).mean(axis=(0, 1)) / np.square(mean)).mean()),
-        _triple(mean),
+        float(noise),
         _triple(ratio),
         _triple(error),
-        _bias(_tiled(images), _tiled(reference)),
+        _bias(_tiled(images), _tiled(truth)),
+        _worst(images, truth),
     )
+
+
+def _smooth(images: Floats, truth: Floats) -> Floats:
+    """What pixels are compared with: the truth where it is known, else the picture's own mean over its runs."""
+    return truth[0] if len(truth) == 1 else images.mean(axis=0)
+
+
+def _target(mean: Floats) -> Floats:
+    """The denominator of relative errors, as in `render.compare`."""
+    return np.square(mean) + EPSILON * np.square(mean.mean(axis=(0, 1)))
+
+
+def _worst(images: Floats, truth: Floats) -> float:
+    """Largest relative error of a column's mean, which noise hides least; NaN where the truth is not known."""
+    if len(truth) > 1:
+        return math.nan
+    columns, known = images.mean(axis=(0, 1)), truth[0].mean(axis=0)
+    return float(np.max(np.abs(columns / np.maximum(known, 1e-30) - 1)))
 
 
 def _tiled(images: Floats) -> Floats:
@@ -145,39 +178,29 @@ def _tiled(images: Floats) -> Floats:
     return cut.reshape(runs, high, height // high, wide, width // wide, channels).mean(axis=(2, 4))
 
 
-def _bias(images: Floats, reference: Floats) -> float:
+def _bias(images: Floats, truth: Floats) -> float:
     """relMSE less what the noise of both accounts for; may come out below 0."""
-    target = reference.mean(axis=0)
-    noise = images.var(axis=0, ddof=1) / len(images) + reference.var(axis=0, ddof=1) / len(reference)
-    denominator = np.square(target) + EPSILON * np.square(target.mean(axis=(0, 1)))
-    return float(((np.square(images.mean(axis=0) - target) - noise) / denominator).mean())
+    target = truth.mean(axis=0)
+    noise = images.var(axis=0, ddof=1) / len(images)
+    if len(truth) > 1:
+        noise = noise + truth.var(axis=0, ddof=1) / len(truth)
+    return float(((np.square(images.mean(axis=0) - target) - noise) / _target(target)).mean())
 
 
 def _cut(case: RenderCase, effort: Effort, reference: Floats) -> tuple[float, ...]:
     """From what half the depth loses, with the same seeds and hence the same paths."""
     half = load_stage(case.scene, replace(METHODS[REFERENCE], mc_depth=effort.mc_depth // 2))
-    count = _samples(REFERENCE, effort)
-    shorter = np.stack([_image(half, count, _REFERENCE_SEED + run) for run in range(2)]).mean(axis=(0, 1, 2))
+    shorter = np.stack([_image(half, effort.mc_samples, _REFERENCE_SEED + run) for run in range(2)]).mean(
+        axis=(0, 1, 2)
+    )
     longer = reference[:2].mean(axis=(0, 1, 2))
     material = find_medium(case.material)
-    shares = [cut_share(albedo, effort.mc_depth) for albedo in _albedo(material)]
-    return _triple((longer - shorter) / longer * shares)
-
-
-def _albedo(material: RenderMaterial) -> list[float]:
-    return [s / (s + a) for a, s in zip(material.sigma_a, material.sigma_s, strict=True)]
-
-
-def _known(case: RenderCase) -> dict[str, tuple[float, ...]]:
-    if case.scene_name != "slab, sky":
-        return {}
-    material = find_medium(case.material)
-    (terms, truth), (printed, _) = sky_radiance(material), sky_radiance(material, paper=True)
-    return dict(zip(KNOWN, map(_triple, (terms, printed, truth)), strict=True))
+    albedo = [s / (s + a) for a, s in zip(material.sigma_a, material.sigma_s, strict=True)]
+    return _triple((longer - shorter) / longer * [cut_share(each, effort.mc_depth) for each in albedo])
 
 
 def _samples(method: str, effort: Effort) -> int:
-    return effort.mc_samples if method == "mc" else effort.samples
+    return effort.mc_samples if method == REFERENCE else effort.samples
 
 
 def _image(stage: Stage, samples: int, seed: int) -> Floats:

@@ -5,62 +5,95 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
+from bssrdf.bench.render_truth import edge_radiance, sky_radiance
 from bssrdf.render import HALF_ALBEDO, RenderMaterial, RenderOptions, find_medium, spread_mm
 from bssrdf.render.scenes.blocks import slab
 from bssrdf.render.scenes.figures import bust
-from bssrdf.render.scenes.place import panel, sky
+from bssrdf.render.scenes.place import SKY, box, box_size, moved, paint, panel, sky
 from bssrdf.render.scenes.record import Body, Scene, Viewpoint
 
+Floats = NDArray[np.float64]
 MATERIALS = ("Marble", "Skimmilk", "Skin1", "Ketchup", "Spectralon", HALF_ALBEDO)
-RADII = (1.0, 3.0, 10.0, 30.0)
+RADII = (1.0, 3.0, 10.0)
 """Of the balls, in units of the spread: R σtr, where there is absorption."""
 METHODS = {
     "brdf": RenderOptions("brdf"),
-    "points": RenderOptions("bssrdf"),
+    "points": RenderOptions("bssrdf", method="points"),
     "walks": RenderOptions("bssrdf", method="walks"),
-    "mc": RenderOptions("mc"),
+    "volpath": RenderOptions("mc"),
 }
-REFERENCE = "mc"
+REFERENCE = "volpath"
+FURNACE = RenderMaterial("white", (0.0, 0.0, 0.0), (1.0, 1.2, 1.5), 1.5)
+FURNACE_MM = 4.0
 
 
 @dataclass(frozen=True)
 class RenderCase:
-    """A scene of one material, and the methods that can render it."""
+    """A scene of one material, the methods that can render it, and what it should show."""
 
     scene_name: str
     material: str
     scene: Scene
     methods: tuple[str, ...]
-    reference: str
-    """The method whose long run the others are scored against."""
+    truth: Floats | None = None
+    """Radiance (height, width, 3); without it a long run of volpath stands for it."""
 
 
 def cases(
     pixels: int, *, materials: tuple[str, ...] = MATERIALS, only: tuple[str, ...] | None = None
 ) -> Iterator[RenderCase]:
     """Every scene of every material, at `pixels` a side; `only` those scenes."""
-    for name in materials:
-        material = find_medium(name)
-        for scene_name, scene in _scenes(material).items():
-            if only is not None and scene_name not in only:
-                continue
-            small = replace(scene, camera=replace(scene.camera, pixels=(pixels, pixels)))
-            methods = tuple(method for method in METHODS if not (scene.narrow_light and method == REFERENCE))
-            yield RenderCase(scene_name, name, small, methods, "points" if scene.narrow_light else REFERENCE)
+    found = [case for name in materials for case in _of_material(find_medium(name), pixels)]
+    for case in [_furnace(pixels), *found]:
+        if only is None or case.scene_name in only:
+            yield case
 
 
-def _scenes(material: RenderMaterial) -> dict[str, Scene]:
-    spread = spread_mm(material)
-    wide, green = max(spread), spread[1]
-    half_space: dict[str, Any] = {"side_mm": 60 * wide, "thickness_mm": 20 * wide}
-    found = {f"slab, {light}": slab(material, light=light, **half_space) for light in ("sky", "edge")}
-    found["slab, beam"] = slab(material, light="beam", side_mm=max(60 * green, 10.0), thickness_mm=20 * wide)
-    found |= {f"ball {radius:g}": ball(material, radius * green) for radius in RADII}
-    found["thin slab"] = slab(material, light="sky", side_mm=40 * green, thickness_mm=green)
-    found["bust"] = bust(material)
-    return found
+def _of_material(material: RenderMaterial, pixels: int) -> Iterator[RenderCase]:
+    wide, green = max(spread_mm(material)), spread_mm(material)[1]
+    flat = slab(material, light="sky", side_mm=60 * wide, thickness_mm=20 * wide)
+    evenly = np.broadcast_to(sky_radiance(material), (pixels, pixels, 3))
+    yield RenderCase("sky", material.name, _sized(flat, pixels), ("brdf", "points", "walks", "volpath"), evenly)
+    scene = _sized(edge(material, wide, 8 * green), pixels)
+    places = ((np.arange(pixels) + 0.5) / pixels - 0.5) * 8 * green
+    truth = np.broadcast_to(edge_radiance(material, places), (pixels, pixels, 3))
+    yield RenderCase("edge", material.name, scene, ("brdf", "points"), truth)
+    for radius in RADII:
+        matched = replace(material, eta=1.0)
+        yield RenderCase(
+            f"ball {radius:g}, matched", material.name, _sized(ball(matched, radius * green), pixels), tuple(METHODS)
+        )
+    for radius in RADII:
+        yield RenderCase(
+            f"ball {radius:g}", material.name, _sized(ball(material, radius * green), pixels), tuple(METHODS)
+        )
+    yield RenderCase("bust", material.name, _sized(bust(material), pixels), tuple(METHODS))
+
+
+def _furnace(pixels: int) -> RenderCase:
+    """A ball that absorbs nothing, under an even sky: it shows the sky."""
+    body = Body({"type": "sphere", "radius": FURNACE_MM}, FURNACE, FURNACE_MM)
+    camera = Viewpoint((0, -6 * FURNACE_MM, 0), (0, 0, 0), width_mm=math.sqrt(2) * FURNACE_MM)
+    scene = Scene("furnace", {"ball": body}, {SKY: sky(1.0)}, camera)
+    return RenderCase("furnace", "white", _sized(scene, pixels), ("points", "walks"), np.ones((pixels, pixels, 3)))
+
+
+def _sized(scene: Scene, pixels: int) -> Scene:
+    return replace(scene, camera=replace(scene.camera, pixels=(pixels, pixels)))
+
+
+def edge(material: RenderMaterial, spread: float, width_mm: float) -> Scene:
+    """A half space under light along its normal, half of it shaded by a card; the camera looks from below the card."""
+    side, deep = 60 * spread, 20 * spread
+    body = Body(box((-side / 2, -side / 2, -deep), (side, side, deep)), material, box_size((side, side, deep)))
+    card = {"type": "rectangle", "to_world": moved((-side, 0.0, side), (side, 2 * side, 1.0)), "bsdf": paint(0.0)}
+    sun = {"type": "directional", "direction": [0.0, 0.0, -1.0], "irradiance": {"type": "rgb", "value": [1.0] * 3}}
+    camera = Viewpoint((0.0, 0.0, side / 4), (0.0, 0.0, 0.0), up=(0.0, 1.0, 0.0), width_mm=width_mm)
+    return Scene("edge", {"slab": body}, {"sun": sun}, camera, {"card": card}, narrow_light=True)
 
 
 def ball(material: RenderMaterial, radius_mm: float) -> Scene:
@@ -72,7 +105,7 @@ def ball(material: RenderMaterial, radius_mm: float) -> Scene:
     body = Body({"type": "sphere", "radius": radius_mm}, material, radius_mm)
     lights = {
         "panel": panel(at(3.0, -0.5, 1.0), at(0, 0, 0), (1.2 * radius_mm, 1.2 * radius_mm), 10.0),
-        "sky": sky(0.02),
+        SKY: sky(0.02),
     }
     width = 2 * math.sqrt(0.5) * radius_mm  # inside the outline: no pixel of the background
     camera = Viewpoint(at(0, -6.0, 0), at(0, 0, 0), width_mm=width)

@@ -1,4 +1,4 @@
-"""What `bssrdf bench render` found: a table, numbers as JSON, and error against time as a plot."""
+"""What `bssrdf bench render` found, as a table, JSON and a plot."""
 
 from __future__ import annotations
 
@@ -13,8 +13,6 @@ import numpy as np
 
 from bssrdf.bench.render_cases import REFERENCE
 
-KNOWN = ("terms", "terms, paper", "Monte Carlo table")
-
 
 @dataclass(frozen=True)
 class ResultRow:
@@ -24,17 +22,24 @@ class ResultRow:
     material: str
     method: str
     samples: int
-    seconds: float
-    """Median of a run."""
-    compile_s: float
+    prepare_s: float
+    """CPU time to find the light under surfaces."""
+    draw_s: float
+    """CPU time of a run's picture."""
     variance: float
-    """Of a pixel of one run, over the mean's square."""
-    mean: tuple[float, ...]
+    """Of a pixel of one run, relative."""
     ratio: tuple[float, ...]
-    """Of the means, to the reference."""
+    """Of the means, to the truth."""
     ratio_se: tuple[float, ...]
     rel_mse_bias: float
     """relMSE of tiles less the noise of this method and of the reference; ε = 0.01 mean²."""
+    worst: float
+    """Largest relative error of a column of pixels, where the truth is known."""
+
+    @property
+    def seconds(self) -> float:
+        """Of a run."""
+        return self.prepare_s + self.draw_s
 
     @property
     def cost(self) -> float:
@@ -44,60 +49,49 @@ class ResultRow:
 
 @dataclass(frozen=True)
 class CaseResult:
-    """The methods on one case, and how good its reference is."""
+    """The methods on one case, and how good its truth is."""
 
     rows: tuple[ResultRow, ...]
-    reference: str
+    rendered: bool
+    """Whether volpath stands for the truth."""
+    truth_se: tuple[float, ...]
+    """Relative, of the truth's mean."""
     cut: tuple[float, ...]
-    """Relative share of the light that the reference's longest path cuts off, estimated; by channel."""
-    known: dict[str, tuple[float, ...]]
-    """Means that are known without rendering."""
+    """Relative share of the light that volpath's longest path cuts off, estimated."""
 
 
 def table(results: list[CaseResult]) -> str:
-    """A line a case and method; under a case what is known about its reference."""
+    """A line a case and method; under it what is known of rendered truths."""
     lines = [
-        "| scene | material | method | s a run | compile s | variance × s | over points | mean ratio R, G, B "
-        "| ± | relMSE of the bias |",
+        "| scene | material | method | prepare | draw | noise | volpath costs | over truth: R G B | ± | bias² |",
         "|---|---|---|--:|--:|--:|--:|--:|--:|--:|",
     ]
     for result in results:
-        exact = next(row for row in result.rows if row.method == "points")
-        lines += [
-            f"| {row.scene} | {row.material} | {row.method} | {row.seconds:.3f} | {row.compile_s:.1f} | {row.cost:.3g} "
-            f"| {row.cost / exact.cost:.3g} | {_numbers(row.ratio, '.3f')} | {max(row.ratio_se):.3f} "
-            f"| {row.rel_mse_bias:.3g} |"
-            for row in result.rows
-        ]
-    return "\n".join([*lines, "", *_notes(results)])
+        lines += [_line(row, result) for row in result.rows]
+    lines += [
+        "",
+        "CPU seconds; noise of a run's pixels on bodies; volpath's variance × time over the method's; bias² is relMSE "
+        "of tiles without the noise.",
+    ]
+    return "\n".join([*lines, *(_note(result) for result in results if result.rendered)])
 
 
-def _notes(results: list[CaseResult]) -> list[str]:
-    lines = []
-    for result in results:
-        row = result.rows[0]
-        name = f"{row.scene}, {row.material}"
-        if result.reference == REFERENCE:
-            lines.append(
-                f"- {name}: paths longer than the reference's carry {_numbers(result.cut, '.2%')} of its light"
-            )
-        if result.known:
-            lines.append(f"- {name}: {_known_text(result)}")
-    return lines
-
-
-def _known_text(result: CaseResult) -> str:
-    """Rendered over closed form, and the closed forms over Monte Carlo of a half space, which no path cuts off."""
-    exact = np.array(_mean_of(result, "points"))
-    terms, paper, truth = (np.array(result.known[key]) for key in KNOWN)
+def _line(row: ResultRow, result: CaseResult) -> str:
+    volpath = [other.cost for other in result.rows if other.method == REFERENCE]
+    costs = f"{volpath[0] / row.cost:.3g} ×" if volpath and row.cost > 0 else ""
     return (
-        f"points over the closed form {_numbers(exact / truth, '.4f')}; the paper's sum of terms over it "
-        f"{_numbers(terms / truth, '.3f')}, with the paper's exit lobe {_numbers(paper / truth, '.3f')}"
+        f"| {row.scene} | {row.material} | {row.method} | {row.prepare_s:.2f} | {row.draw_s:.2f} "
+        f"| {math.sqrt(row.variance):.1%} | {costs} | {_numbers(row.ratio, '.4f')} | {max(row.ratio_se):.4f} "
+        f"| {row.rel_mse_bias:.2g} |"
     )
 
 
-def _mean_of(result: CaseResult, method: str) -> tuple[float, ...]:
-    return next(row.mean for row in result.rows if row.method == method)
+def _note(result: CaseResult) -> str:
+    row = result.rows[0]
+    return (
+        f"- {row.scene}, {row.material}: volpath is sure to {_numbers(result.truth_se, '.2%')}, and paths longer than "
+        f"its own carry {_numbers(result.cut, '.2%')} of the light"
+    )
 
 
 def _numbers(values: Iterable[float], form: str) -> str:
@@ -126,13 +120,14 @@ def _plot(path: Path, results: list[CaseResult]) -> None:
     rows = math.ceil(len(first) / columns)
     figure = Figure(figsize=(3.8 * columns, 2.9 * rows), layout="constrained")
     panels = figure.subplots(rows, columns, squeeze=False, sharex=True)
-    seconds = np.geomspace(0.01, 1000, 60)
     for axes, result in zip(panels.flat, reversed(first.values()), strict=False):
         for row in result.rows:
-            bias = 0.0 if row.method == result.reference else max(row.rel_mse_bias, 0.0)
-            axes.loglog(seconds, bias + row.cost / seconds, label=row.method)
+            seconds = np.geomspace(max(0.01, 1.05 * row.prepare_s), 10_000, 60)
+            bias = 0.0 if result.rendered and row.method == REFERENCE else max(row.rel_mse_bias, 0.0)
+            noise = row.variance * row.draw_s / (seconds - row.prepare_s)
+            axes.loglog(seconds, bias + noise, label=row.method)
         axes.set_title(f"{result.rows[0].scene}, {result.rows[0].material}", fontsize=9)
-        axes.set_xlabel("seconds")
+        axes.set_xlabel("CPU seconds")
         axes.set_ylabel("relMSE")
     panels.flat[0].legend(fontsize=7)
     for axes in panels.flat[len(first) :]:

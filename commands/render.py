@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -15,11 +16,35 @@ from bssrdf.commands.console import Command, fresh, is_quiet, warn
 from bssrdf.errors import UsageError
 
 if TYPE_CHECKING:
-    from bssrdf.render import Model, RenderOptions
+    from bssrdf.render import Goal, Model, RenderOptions
     from bssrdf.render.scenes.record import Scene
 
 Decorated = TypeVar("Decorated", bound=Callable[..., Any])
 FILE = click.Path(path_type=Path)
+_UNITS_S = {"": 1.0, "s": 1.0, "min": 60.0, "h": 3600.0}
+_GONE = {"--sampling": "radii are not drawn any more; --method says how the light under surfaces is found"}
+
+
+class Duration(click.ParamType):
+    """60s, 5min, 1h, or seconds."""
+
+    name = "time"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        """In seconds."""
+        if isinstance(value, float):
+            return value
+        found = re.fullmatch(r"(\d+(?:\.\d+)?)\s*(s|min|h|)", str(value).strip())
+        if found is None or float(found[1]) == 0:
+            self.fail(f'"{value}" is not a time; give one as 60s, 5min or 1h', param, ctx)
+        return float(found[1]) * _UNITS_S[found[2]]
+
+
+def _gone(context: click.Context, option: click.Parameter, value: Any) -> None:
+    if value is not None:
+        raise UsageError(f"{option.opts[0]} is no more: {_GONE[option.opts[0]]}")
+
+
 _OPTIONS = (
     click.option("--material", metavar="NAME_OR_FIT", help="A published material, Marble-half, or a fit.json."),
     click.option("--g", type=float, help="Mean cosine of the phase function, at the same σs′."),
@@ -28,23 +53,40 @@ _OPTIONS = (
     click.option("--light", type=click.Choice(["beam", "edge", "sky"]), help="slab: what it lies under."),
     click.option("--texture", "texture_path", type=FILE, help="texture: image that scales the albedo."),
     click.option(
-        "--roughness",
-        type=click.FloatRange(0, 1),
-        help="Of GGX microfacets; 0 is polished (default: bust 0.2, face 0.3).",
+        "--roughness", type=click.FloatRange(0, 1), help="Of GGX microfacets; 0 is polished (default: the scene's)."
     ),
-    click.option("--width", "width_px", type=click.IntRange(1, 16384), help="Pixels across."),
-    click.option("--samples", type=click.IntRange(2), default=64, show_default=True, help="Samples a pixel."),
+    click.option(
+        "--width", "width_px", type=click.IntRange(1, 16384), help="Pixels across (default: 1024; compare: 256)."
+    ),
+    click.option(
+        "--method",
+        type=click.Choice(["auto", "points", "walks"]),
+        default="auto",
+        show_default=True,
+        help="How bssrdf finds the light under surfaces.",
+    ),
+    click.option(
+        "--kernel",
+        type=click.Choice(["table", "dipole"]),
+        default="table",
+        show_default=True,
+        help="R_d of Monte Carlo, or the paper's dipole and single scattering.",
+    ),
+    click.option(
+        "--quality",
+        type=click.Choice(["draft", "final"]),
+        default="final",
+        show_default=True,
+        help="Noise to stop at: 6 or 2 % on bodies.",
+    ),
+    click.option("--time", "time_s", type=Duration(), help="Use this much time instead, as 60s or 5min."),
+    click.option("--samples", type=click.IntRange(2), help="Take as many samples per pixel instead."),
     click.option("--mc-depth", type=click.IntRange(2), default=1000, show_default=True, help="mc: most scatterings."),
     click.option("--seed", type=click.IntRange(0, 10_000), default=0, show_default=True),
     click.option(
-        "--method",
-        type=click.Choice(["points", "walks"]),
-        default="points",
-        show_default=True,
-        help="How bssrdf is found.",
+        "--paper", is_flag=True, help="dipole: the exit Fresnel factor as printed, without its normalisation."
     ),
-    click.option("--kernel", type=click.Choice(["table", "dipole"]), default="table", show_default=True, help="R_d."),
-    click.option("--paper", is_flag=True, help="The exit Fresnel factor as printed, without its normalisation."),
+    click.option("--sampling", hidden=True, expose_value=False, is_eager=True, callback=_gone),
     click.option("--force", is_flag=True, help="Replace what stands at the output."),
 )
 
@@ -60,42 +102,43 @@ def _scene_options(command: Decorated) -> Decorated:
 @click.option(
     "--model", type=click.Choice(["auto", "brdf", "bssrdf", "mc"]), default="auto", show_default=True, help="How."
 )
-@click.option("--terms", metavar="LIST", help="kernel dipole: of diffusion,single,specular, those to show.")
-@click.option("--explain", is_flag=True, help="Say how --model auto chooses, and what it chose.")
+@click.option("--terms", metavar="LIST", help="dipole: of diffusion,single,specular, those to show.")
+@click.option("--explain", is_flag=True, help="Say how --model and --method auto choose.")
 @click.option("--out", type=FILE, metavar="STEM", help="STEM.exr and STEM.png are written (default: SCENE).")
 @_scene_options
-def render(
-    scene: str, model: str, terms: str | None, explain: bool, out: Path | None, samples: int, seed: int, **given: Any
-) -> None:
+def render(scene: str, model: str, terms: str | None, explain: bool, out: Path | None, seed: int, **given: Any) -> None:
     """Render SCENE with the materials you measured.
 
     SCENE is slab, block, bust, milk, face, texture, or a Mitsuba .xml file.
     """
+    from bssrdf.render import RULE, WHITE_PERCENTILE, write_pictures
     from bssrdf.render import render as render_picture
-    from bssrdf.render import write_pictures
     from bssrdf.report import steps
 
     stem = out or Path(Path(scene).stem)
     _refuse([stem.with_name(f"{stem.name}.{kind}") for kind in ("exr", "png")], given.pop("force"))
-    options = _options(given, terms, seed)
-    subject = _subject(scene, given)
-    options = _with_model(subject, options, model, explain)
+    goal, options = _goal(given), _options(given, terms, seed)
+    subject = _subject(scene, given, 1024)
+    if explain:
+        click.echo(RULE, err=True)
+    options = _with_model(subject, options, model)
     with _spoken(), steps(quiet=is_quiet()) as progress:
-        picture = render_picture(subject, options, samples=samples, seed=seed, progress=progress)
-    white = 99.0 if isinstance(subject, Path) else subject.white_percentile
-    for path in write_pictures(stem, picture, _provenance(scene, subject, options, samples, seed), white):
+        picture = render_picture(subject, options, goal, seed=seed, progress=progress, say=_say)
+    white = WHITE_PERCENTILE if isinstance(subject, Path) else subject.white_percentile
+    for path in write_pictures(stem, picture, _provenance(scene, subject, options, picture.samples, seed), white):
         click.echo(str(path))
     click.echo(
-        f"{options.model}: {picture.samples} samples per pixel, {picture.seconds:.1f} s + {picture.compile_s:.1f} s"
+        f"{options.model}: {picture.samples} samples per pixel, noise {picture.noise:.1%}, "
+        f"{picture.prepare_s:.1f} s + {picture.seconds + picture.compile_s:.1f} s"
     )
 
 
 @click.command(cls=Command)
 @click.argument("scene", metavar="SCENE")
-@click.option("--mc-samples", type=click.IntRange(2), help="Samples per pixel of mc (default: as many as the others).")
+@click.option("--mc-samples", type=click.IntRange(2), help="Samples per pixel of mc (default: as many as bssrdf).")
 @click.option("--out", type=FILE, metavar="FOLDER", help="Folder for the pictures (default: SCENE-compare).")
 @_scene_options
-def compare(scene: str, out: Path | None, samples: int, mc_samples: int | None, seed: int, **given: Any) -> None:
+def compare(scene: str, out: Path | None, mc_samples: int | None, seed: int, **given: Any) -> None:
     """Render SCENE by brdf, bssrdf and mc, side by side.
 
     Pictures, their difference, errors and times.
@@ -106,16 +149,17 @@ def compare(scene: str, out: Path | None, samples: int, mc_samples: int | None, 
 
     folder = out or Path(f"{Path(scene).stem}-compare")
     _refuse([folder], given.pop("force"))
-    options = _options(given, None, seed)
-    subject = _subject(scene, given)
+    goal, options = _goal(given), _options(given, None, seed)
+    subject = _subject(scene, given, 256)
     refusal = "a .xml file holds no medium for mc" if isinstance(subject, Path) else mc_refusal(subject)
     if refusal:
         warn(f"{refusal}: bssrdf is the reference")
     models: tuple[Model, ...] = ("brdf", "bssrdf") if refusal else ("brdf", "bssrdf", "mc")
     with _spoken(), steps(quiet=is_quiet()) as progress:
         pictures, scores = compare_models(
-            subject, options, models, samples=samples, mc_samples=mc_samples or samples, seed=seed, progress=progress
+            subject, options, models, goal=goal, mc_samples=mc_samples, seed=seed, progress=progress
         )
+    samples = pictures["bssrdf"].samples
     with replace_folder(folder) as part:
         write_comparison(part, pictures, scores, _provenance(scene, subject, options, samples, seed))
     click.echo(f"{scores_text(scores)}\n{folder}")
@@ -138,6 +182,7 @@ def doctor() -> None:
 def _spoken() -> Iterator[None]:
     """Warnings of the integrator, such as of an open mesh, once and as a line each."""
     with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
         yield
     for line in dict.fromkeys(str(each.message) for each in caught if each.category is UserWarning):
         warn(line)
@@ -149,22 +194,44 @@ def _refuse(paths: list[Path], force: bool) -> None:
             raise UsageError(f"{path.parent} is not a folder; make it first, or choose another --out")
 
 
+def _goal(given: dict[str, Any]) -> Goal:
+    """When the picture is done: by samples, by time, or at the noise of the quality."""
+    from bssrdf.render import QUALITIES, Goal
+
+    samples, time_s = given.pop("samples"), given.pop("time_s")
+    if samples is not None and time_s is not None:
+        raise UsageError("--samples and --time both say when to stop; give one")
+    if samples is None and time_s is None:
+        return QUALITIES[given["quality"]].goal
+    return Goal(noise=0.0, samples=samples, time_s=time_s)
+
+
 def _options(given: dict[str, Any], terms: str | None, seed: int) -> RenderOptions:
-    from bssrdf.render import TERMS, RenderOptions
+    from bssrdf.render import QUALITIES, TERMS, RenderOptions
 
     wanted = TERMS if terms is None else tuple(term.strip() for term in terms.split(","))
     for term in wanted:
         if term not in TERMS:
             raise UsageError(f'term "{term}" is not one of {", ".join(TERMS)}')
-    paper, kernel = given.pop("paper"), given.pop("kernel")
-    if kernel == "table" and (terms is not None or paper):
-        raise UsageError("--terms and --paper are of the dipole; give --kernel dipole with them")
+    for name, asked in (("--terms", terms), ("--paper", given["paper"])):
+        if asked and given["kernel"] != "dipole":
+            raise UsageError(f"{name} is of the paper's model; add --kernel dipole")
+    quality = QUALITIES[given.pop("quality")]
     return RenderOptions(
-        kernel=kernel, method=given.pop("method"), terms=wanted, paper=paper, seed=seed, mc_depth=given.pop("mc_depth")
+        terms=wanted,
+        light_samples=quality.light_samples,
+        walks=quality.walks,
+        seed=seed,
+        **{name: given.pop(name) for name in ("kernel", "method", "paper", "mc_depth")},
     )
 
 
-def _subject(scene: str, given: dict[str, Any]) -> Scene | Path:
+def _say(line: str) -> None:
+    if not is_quiet():
+        click.echo(line, err=True)
+
+
+def _subject(scene: str, given: dict[str, Any], width_px: int) -> Scene | Path:
     """A built-in scene with what can be wrong about it said, or the path of a Mitsuba file."""
     from bssrdf.render import remarks
     from bssrdf.render.scenes.catalogue import build_scene
@@ -178,8 +245,8 @@ def _subject(scene: str, given: dict[str, Any]) -> Scene | Path:
     if height_mm is not None and mesh is None:
         raise UsageError("--height-mm scales a --mesh; give one")
     own = {"light": given["light"], "texture_path": given["texture_path"], "mesh": _mesh(mesh, height_mm)}
-    named = {name: given[name] for name in ("material", "g", "roughness", "width_px")}
-    built = build_scene(scene, **named, own=own)
+    named = {name: given[name] for name in ("material", "g", "roughness")}
+    built = build_scene(scene, **named, width_px=given["width_px"] or width_px, own=own)
     for remark in remarks(built):
         warn(remark)
     return built
@@ -196,11 +263,11 @@ def _mesh(path: Path | None, height_mm: float | None) -> Any:
     return mesh
 
 
-def _with_model(subject: Scene | Path, options: RenderOptions, model: str, explain: bool) -> RenderOptions:
+def _with_model(subject: Scene | Path, options: RenderOptions, model: str) -> RenderOptions:
     """The options with the model that was asked for, or that `auto` chooses."""
     from dataclasses import replace
 
-    from bssrdf.render import RULE, Choice, choose_model, mc_refusal
+    from bssrdf.render import choose_model, mc_refusal
 
     chosen: Any = model
     if isinstance(subject, Path):
@@ -210,11 +277,8 @@ def _with_model(subject: Scene | Path, options: RenderOptions, model: str, expla
             )
         chosen = "bssrdf" if model == "auto" else model
     elif model == "auto":
-        choice: Choice = choose_model(subject)
-        chosen = choice.model
-        click.echo(
-            f"{RULE}\nchosen: {choice.model} ({choice.reason})" if explain else f"auto: {choice.model}", err=True
-        )
+        chosen, reason = choose_model(subject)
+        _say(f"auto: {chosen} ({reason})")
     elif model == "mc" and (refusal := mc_refusal(subject)):
         raise UsageError(f"{refusal}; use --roughness 0.3, another light, or --model bssrdf")
     if chosen == "mc" and len(options.terms) < 3:

@@ -1,79 +1,90 @@
-"""Which model a scene is rendered by, and what speaks against one."""
+"""Which model a scene is rendered by, how the light under its surfaces is found, and what speaks against either."""
 
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any
+
+import numpy as np
 
 from bssrdf.render.material import RenderMaterial
 from bssrdf.render.plugins import Model
-from bssrdf.render.scenes.record import Body, Scene
+from bssrdf.render.points.record import Method
+from bssrdf.render.scenes.record import Scene
 from bssrdf.transport import dipole, scoped_x64
 from bssrdf.transport.dipole import Medium
 
-LEAST_ALBEDO = 0.6
-"""α′ below which diffusion does not hold."""
-WIDE = 2.0
-"""How many spreads a body must measure for a dipole on a plane to hold on it: marble balls come out 13 % too dark at
-one, 5 % at three (`bssrdf bench render`)."""
+WIDE = 10.0
+"""How many spreads a body must measure for R_d of a half space to hold on it: an evenly lit ball of that radius comes
+out 1 % too dark (`bssrdf bench render`)."""
 _HELD = 0.9
 
-RULE = f"""--model auto takes, for the body of the scene that is worst off, the cheapest that holds:
-  mc      where α′ of the brightest channel is below {LEAST_ALBEDO:g}: diffusion does not hold
-  brdf    else, where light spreads less than a pixel's width
-  mc      else, where the body is less than {WIDE:g} times as large as light spreads: too thin or too tightly curved
-  bssrdf  else
+RULE = f"""--model auto takes brdf where light spreads less than a pixel's width in every body, else bssrdf.
+--method auto finds the light under surfaces by
+  points  where every body is at least {WIDE:g} times as large as light spreads, or under a beam narrower than that:
+          R_d of a half space, over all points where light entered
+  walks   else: the same, and walks inside the body that tell what its form changes
 Light spreads by the diffuse mean free path 1/σtr, or by the radius that holds {100 * _HELD:g} % of R_d where that is
 less, as it is almost without absorption. A body is as large as three times its volume over its surface: the radius of
-a ball. Where mc cannot render a scene (a narrow light on a polished body, textured coefficients), bssrdf stands in."""
+a ball. mc, full Monte Carlo, is a reference: it takes hours to lose its noise."""
 
 
-class Choice(NamedTuple):
-    """The model for a scene, and why."""
-
-    model: Model
-    reason: str
-
-
-def choose_model(scene: Scene) -> Choice:
-    """The model after RULE."""
-    choices = [_choose_for(name, body, scene.camera.footprint_mm) for name, body in scene.bodies.items()]
-    worst = max(choices, key=lambda choice: ("brdf", "bssrdf", "mc").index(choice.model))
-    refusal = mc_refusal(scene)
-    return Choice("bssrdf", f"{worst.reason}; but {refusal}") if worst.model == "mc" and refusal else worst
+def choose_model(scene: Scene) -> tuple[Model, str]:
+    """The model after RULE, and why."""
+    footprint = scene.camera.footprint_mm
+    spreads = {name: max(spread_mm(body.material)) for name, body in scene.bodies.items()}
+    name, widest = max(spreads.items(), key=lambda pair: pair[1])
+    said = f"light spreads {widest:.2g} mm in {name}, a pixel is {footprint:.2g} mm wide"
+    return ("brdf" if widest < footprint else "bssrdf"), said
 
 
-def _choose_for(name: str, body: Body, footprint_mm: float) -> Choice:
-    material = body.material
-    albedo = material.albedo[brightest(material)]
-    if albedo < LEAST_ALBEDO:
-        return Choice("mc", f"{name}: α′ {albedo:.2f} is below {LEAST_ALBEDO:g}")
-    widest = max(spread_mm(material))
-    if widest < footprint_mm:
-        return Choice("brdf", f"{name}: light spreads {widest:.2g} mm, less than a pixel's {footprint_mm:.2g} mm")
-    if body.size_mm < WIDE * widest:
-        return Choice("mc", f"{name}: {body.size_mm:.3g} mm large, below {WIDE:g} × the {widest:.2g} mm light spreads")
-    return Choice("bssrdf", f"{name}: {body.size_mm:.3g} mm large, light spreads {widest:.2g} mm")
+def choose_method(scene: Any) -> tuple[Method, str]:
+    """The method after RULE for a scene that Mitsuba has loaded, and why."""
+    from bssrdf.render.medium import Media
+    from bssrdf.render.points.fineness import spots_on
+    from bssrdf.render.points.spread import is_closed, surface_of
+
+    tightest, said = math.inf, "no closed body"
+    for shape in Media(scene).shapes:
+        if any(radius < _widest_spread(shape.bsdf().surface) for _, radius in spots_on(scene, shape.bsdf())):
+            return "points", f"{shape.id()}: under a narrow beam, which walks hardly find"
+        surface, spread = surface_of(shape), _widest_spread(shape.bsdf().surface)
+        size = body_size(surface) if is_closed(surface) else math.inf
+        if size / spread < tightest:
+            tightest = size / spread
+            said = f"{shape.id()}: {size:.3g} large, light spreads {spread:.3g}"
+    return ("points" if tightest >= WIDE else "walks"), said
 
 
-@scoped_x64
-def brightest(material: RenderMaterial) -> int:
-    """The channel that reflects most."""
-    totals = [float(dipole.total_r(medium)) for medium in _media(material)]
-    return totals.index(max(totals))
+def body_size(surface: Any) -> float:
+    """Three times the volume of a closed surface over its area."""
+    a, b, c = (surface.vertices[surface.faces[:, corner]] - surface.vertices.mean(axis=0) for corner in range(3))
+    across = np.cross(b - a, c - a)
+    volume = abs(float(np.einsum("ij,ij->", a, across))) / 6
+    area = float(np.linalg.norm(across, axis=1).sum()) / 2
+    return 3 * volume / area
 
 
-@scoped_x64
+def _widest_spread(surface: Any) -> float:
+    from bssrdf.render.surface import mean_coefficients
+
+    media = [Medium(a, sp, surface.eta) for a, sp in mean_coefficients(surface).T]
+    return max(_spread(medium) for medium in media)
+
+
 def spread_mm(material: RenderMaterial) -> tuple[float, ...]:
     """How far light spreads under the surface, by channel."""
-    return tuple(
-        min(reach, _holding_radius(medium))
-        for reach, medium in zip(material.diffuse_mean_free_path, _media(material), strict=True)
-    )
+    return tuple(_spread(medium) for medium in _media(material))
 
 
 def _media(material: RenderMaterial) -> list[Medium]:
     return [Medium(a, sp, material.eta) for a, sp in zip(material.sigma_a, material.sigma_sp, strict=True)]
+
+
+@scoped_x64
+def _spread(medium: Medium) -> float:
+    sigma_tr = float(medium.sigma_tr)
+    return min(1 / sigma_tr if sigma_tr > 0 else math.inf, _holding_radius(medium))
 
 
 def _holding_radius(medium: Medium) -> float:

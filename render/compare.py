@@ -11,13 +11,12 @@ from typing import Any
 
 import numpy as np
 
-from bssrdf.render.picture import Picture, Pixels, Progress, exposure, render, shown, write_pictures
+from bssrdf.render.draw import Goal, render
+from bssrdf.render.picture import EPSILON, Picture, Pixels, Progress, exposure, shown, write_pictures
 from bssrdf.render.plugins import Model, RenderOptions
 from bssrdf.render.scenes.record import Scene
 from bssrdf.session import atomic_write
 
-EPSILON = 0.01
-"""Of the reference's mean square, in the denominator of relMSE."""
 TILES = 24
 """A side, over which bias is told from noise and differences are drawn."""
 _NOISIEST = 1.0
@@ -32,6 +31,7 @@ class Score:
     samples: int
     seconds: float
     compile_s: float
+    prepare_s: float
     mean: float
     mean_ratio: float
     mean_ratio_se: float
@@ -46,16 +46,20 @@ def compare_models(
     options: RenderOptions,
     models: tuple[Model, ...],
     *,
-    samples: int,
-    mc_samples: int,
+    goal: Goal,
+    mc_samples: int | None = None,
     seed: int = 0,
     progress: Progress | None = None,
 ) -> tuple[dict[Model, Picture], list[Score]]:
-    """Render by each model, and score against the last one, which is the reference."""
+    """Render by each model, and score against the last one, which is the reference.
+
+    mc takes `mc_samples` per pixel, or as many as the model before it did.
+    """
     pictures: dict[Model, Picture] = {}
     for model in models:
-        count = mc_samples if model == "mc" else samples
-        pictures[model] = render(scene, replace(options, model=model), samples=count, seed=seed, progress=progress)
+        if model == "mc":
+            goal = Goal(samples=mc_samples or max(picture.samples for picture in pictures.values()))
+        pictures[model] = render(scene, replace(options, model=model), goal, seed=seed, progress=progress)
     reference = pictures[models[-1]]
     return pictures, [score(model, picture, reference) for model, picture in pictures.items()]
 
@@ -79,6 +83,7 @@ def score(model: Model, picture: Picture, reference: Picture) -> Score:
         picture.samples,
         picture.seconds,
         picture.compile_s,
+        picture.prepare_s,
         mean,
         ratio,
         0.0 if same else ratio * math.hypot(*errors),
@@ -101,11 +106,11 @@ def _tile_side(image: Pixels) -> int:
 def scores_text(scores: list[Score]) -> str:
     """A table, one line a model."""
     lines = [
-        "| model | samples | seconds | compile s | mean | of the reference | relMSE | of the bias |",
+        "| model | samples | prepare s | seconds | mean | of the reference | relMSE | of the bias |",
         "|---|--:|--:|--:|--:|--:|--:|--:|",
     ]
     lines += [
-        f"| {each.model} | {each.samples} | {each.seconds:.2f} | {each.compile_s:.2f} | {each.mean:.5g} | "
+        f"| {each.model} | {each.samples} | {each.prepare_s:.1f} | {each.seconds:.1f} | {each.mean:.5g} | "
         f"{each.mean_ratio:.4f} ± {each.mean_ratio_se:.4f} | {each.rel_mse:.4g} | {each.rel_mse_bias:.4g} |"
         for each in scores
     ]

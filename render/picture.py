@@ -1,12 +1,12 @@
-"""Renders a scene in passes of their own seeds, which give its noise, and writes pictures as EXR and PNG."""
+"""Pictures and their noise, written as EXR and PNG, and the scenes that they are drawn from."""
 
 from __future__ import annotations
 
 import json
-import time
+import math
 import warnings
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
@@ -22,7 +22,8 @@ from bssrdf.session import atomic_write
 Pixels = NDArray[np.float32]
 Progress = Callable[[str, int, int], None]
 PROVENANCE = "bssrdf:provenance"
-SAMPLES_A_PASS = 8
+EPSILON = 0.01
+"""Of the mean square, in the denominator of relative errors, so that dark pixels do not count for all."""
 WHITE_PERCENTILE = 99.0
 """Of the lit pixels: the one that comes out just below white."""
 
@@ -38,6 +39,10 @@ class Picture:
     seconds: float
     """Of all passes, without the compilation that the first one holds."""
     compile_s: float
+    prepare_s: float = 0.0
+    """To find the light under surfaces before anything is drawn."""
+    noise: float = math.nan
+    """Of pixels of translucent bodies: root mean square of their relative standard error."""
 
 
 class Stage(NamedTuple):
@@ -46,6 +51,8 @@ class Stage(NamedTuple):
     name: str
     scene: Any
     integrator: Any
+    chosen: str = ""
+    """How the light under surfaces is found, and why, where that was left open."""
 
 
 def load_stage(scene: Scene | Path, options: RenderOptions, colour: Literal["rgb", "mono"] = "rgb") -> Stage:
@@ -60,7 +67,8 @@ def load_stage(scene: Scene | Path, options: RenderOptions, colour: Literal["rgb
     name = str(scene) if isinstance(scene, Path) else f"scene {scene.name}"
     try:
         loaded = mi.load_file(str(scene)) if isinstance(scene, Path) else mi.load_dict(scene_dict(scene, options))
-        stage = Stage(name, loaded, mi.load_dict(integrator(options)))
+        options, chosen = _with_method(loaded, options)
+        stage = Stage(name, loaded, mi.load_dict(integrator(options)), chosen)
     except RuntimeError as error:
         raise InputError(f"{name}: {cause(error)}") from error
     if not loaded.emitters():
@@ -71,26 +79,13 @@ def load_stage(scene: Scene | Path, options: RenderOptions, colour: Literal["rgb
     return stage
 
 
-def render(
-    scene: Scene | Path, options: RenderOptions, *, samples: int, seed: int = 0, progress: Progress | None = None
-) -> Picture:
-    """Render the scene with `samples` a pixel, in at least two passes."""
-    stage = load_stage(scene, options)
-    size = max(1, min(SAMPLES_A_PASS, samples // 2))
-    passes = max(2, round(samples / size))
-    images, times = [], []
-    for number in range(passes):
-        if progress is not None:
-            progress(f"{stage.name}, {options.model}", number, passes)
-        began = time.perf_counter()
-        images.append(render_pass(stage, size, seed * 100_003 + number))
-        times.append(time.perf_counter() - began)
-    if not np.any(images):
-        warnings.warn(f"{stage.name}: the picture is black; no light reaches what the camera sees", stacklevel=2)
-    compile_s = max(0.0, times[0] - float(np.median(times[1:])))
-    stack = np.stack(images)
-    variance = stack.var(axis=0, ddof=1) / passes
-    return Picture(stack.mean(axis=0), variance, size * passes, sum(times) - compile_s, compile_s)
+def _with_method(loaded: Any, options: RenderOptions) -> tuple[RenderOptions, str]:
+    from bssrdf.render.choose import choose_method
+
+    if options.model != "bssrdf" or options.method != "auto":
+        return options, ""
+    method, reason = choose_method(loaded)
+    return replace(options, method=method), f"{method} ({reason})"
 
 
 def render_pass(stage: Stage, samples: int, seed: int) -> Pixels:

@@ -32,7 +32,7 @@ class RenderOptions:
 
     model: Model = "bssrdf"
     kernel: Kernel = "table"
-    method: Method = "points"
+    method: Method | Literal["auto"] = "auto"
     terms: tuple[str, ...] = TERMS
     paper: bool = False
     light_samples: int = LightPlan.light_samples
@@ -46,7 +46,7 @@ def scene_dict(scene: Scene, options: RenderOptions) -> dict[str, Any]:
     """What `mitsuba.load_dict` takes; bodies, lights and camera are named as in the scene."""
     bodies = {name: _body(body, options) for name, body in scene.bodies.items()}
     things = {name: _thing(thing) for name, thing in [*scene.furniture.items(), *scene.lights.items()]}
-    return {"type": "scene", "integrator": integrator(options), "sensor": _sensor(scene.camera), **bodies, **things}
+    return {"type": "scene", "sensor": _sensor(scene.camera), **bodies, **things}
 
 
 def integrator(options: RenderOptions) -> dict[str, Any]:
@@ -149,7 +149,7 @@ def _sensor(camera: Viewpoint) -> dict[str, Any]:
         half = camera.width_mm / 2
         where = {"type": "orthographic"}
         placed = looking(camera.origin, camera.target, camera.up, (half, half, 1.0))
-    return _plain(where | {"to_world": placed}) | {"film": film, "sampler": {"type": "independent"}}
+    return _plain(where | {"to_world": placed}) | {"film": film, "sampler": {"type": "multijitter"}}
 
 
 def _bump(bump: Bump) -> dict[str, Any]:

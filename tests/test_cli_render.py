@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import re
+import time
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +14,7 @@ from bssrdf.cli import cli
 from bssrdf.commands.console import run
 from bssrdf.session.oiio_file import read_images
 
-QUICK = ("--quiet", "--width", "12", "--samples", "2")
+QUICK = ("--quiet", "--width", "12", "--samples", "2", "--quality", "draft")
 
 
 needs_renderer = pytest.mark.usefixtures("renderer")
@@ -59,24 +61,48 @@ def test_the_same_seed_gives_the_same_picture(tmp_path: Path) -> None:
 
 
 @needs_renderer
-def test_terms_shown_apart_add_up_to_the_picture(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_terms_of_the_dipole_add_up_to_the_picture(tmp_path: Path) -> None:
     means = {}
     for terms in ("diffusion", "single", "specular", "diffusion,single,specular"):
-        options = ("--light", "sky", "--model", "brdf", "--width", "16", "--samples", "64", "--quiet")
-        assert (
-            bssrdf("render", "slab", "--kernel", "dipole", "--terms", terms, "--out", tmp_path / terms, *options) == 0
-        )
+        options = ("--light", "sky", "--model", "brdf", "--kernel", "dipole", "--width", "16", "--samples", "64")
+        assert bssrdf("render", "slab", "--terms", terms, "--out", tmp_path / terms, *options, "--quiet") == 0
         means[terms] = read_images(tmp_path / f"{terms}.exr")[0].data.mean()
     *apart, whole = means.values()
     assert whole == pytest.approx(sum(apart), rel=0.02)
 
 
 @needs_renderer
-def test_auto_explains_itself(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert bssrdf("render", "block", "--explain", "--out", tmp_path / "cube", *QUICK) == 0
+def test_auto_says_what_it_chose_and_why(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    options = ("--width", "12", "--samples", "2", "--quality", "draft")
+    assert bssrdf("render", "block", "--explain", "--out", tmp_path / "cube", *options) == 0
     said = capsys.readouterr().err
-    assert "the cheapest that holds" in said
-    assert "chosen: bssrdf (block:" in said
+    assert "--method auto finds the light" in said
+    assert "auto: bssrdf (light spreads" in said
+    assert "auto: points (block: under a narrow beam" in said
+
+
+@needs_renderer
+def test_a_picture_says_how_long_it_will_take_and_stops_at_its_noise(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    options = ("--width", "24", "--method", "points", "--quality", "draft", "--out", tmp_path / "bust")
+    assert bssrdf("render", "bust", *options) == 0
+    said = capsys.readouterr()
+    assert re.search(r"prepared in [\d.]+ s; noise [\d.]+% after \d+ samples per pixel", said.err)
+    noise = re.search(r"noise ([\d.]+)%, ", said.out)
+    assert noise is not None
+    assert float(noise[1]) <= 6.0
+
+
+@needs_renderer
+def test_a_time_is_used_and_hardly_exceeded(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    began = time.perf_counter()
+    options = ("--width", "12", "--model", "brdf", "--time", "4s", "--quiet", "--out", tmp_path / "bust")
+    assert bssrdf("render", "bust", *options) == 0
+    assert time.perf_counter() - began > 3.0
+    counted = re.search(r"brdf: (\d+) samples", capsys.readouterr().out)
+    assert counted is not None
+    assert int(counted[1]) > 16
 
 
 @needs_renderer
@@ -105,7 +131,11 @@ def test_compare_scores_every_model_against_monte_carlo(tmp_path: Path, capsys: 
         (("bust", "--mesh", "none.stl"), 3, "convert it"),
         (("bust", "--height-mm", "10"), 2, "--mesh"),
         (("block", "--model", "mc"), 2, "narrow light"),
-        (("block", "--kernel", "dipole", "--terms", "shiny"), 2, 'term "shiny"'),
+        (("block", "--terms", "shiny"), 2, 'term "shiny"'),
+        (("block", "--terms", "single"), 2, "add --kernel dipole"),
+        (("block", "--paper"), 2, "add --kernel dipole"),
+        (("block", "--sampling", "exact"), 2, "--method"),
+        (("block", "--time", "5s", "--samples", "4"), 2, "give one"),
         (("none.xml",), 3, "none.xml"),
     ],
 )

@@ -106,11 +106,11 @@ def test_a_mesh_inside_out_is_turned_and_told(tmp_path: Path, inward: bool, norm
 
 
 def test_a_black_picture_is_told() -> None:
-    from bssrdf.render import RenderOptions, find_medium, render
+    from bssrdf.render import Goal, RenderOptions, find_medium, render
     from bssrdf.render.scenes.record import Body, Scene, Viewpoint
 
     sky = {"type": "constant", "radiance": {"type": "rgb", "value": [0.0] * 3}}
     body = Body({"type": "sphere"}, find_medium("Marble"), 1.0)
     scene = Scene("dark", {"ball": body}, {"sky": sky}, Viewpoint((0, -5, 0), (0, 0, 0), pixels=(4, 4)))
     with pytest.warns(UserWarning, match="picture is black"):
-        render(scene, RenderOptions("brdf"), samples=2)
+        render(scene, RenderOptions("brdf"), Goal(samples=2))

@@ -10,11 +10,14 @@ import numpy as np
 import pytest
 
 from bssrdf.errors import InputError, UsageError
-from bssrdf.render.choose import LEAST_ALBEDO, WIDE, choose_model, mc_refusal, remarks, spread_mm
+from bssrdf.render.choose import WIDE, choose_model, mc_refusal, remarks, spread_mm
 from bssrdf.render.head import head_distance, head_mesh
 from bssrdf.render.material import HALF_ALBEDO, RenderMaterial, find_medium, medium_of_fit
+from bssrdf.render.picture import load_stage
+from bssrdf.render.plugins import RenderOptions
 from bssrdf.render.scenes.catalogue import SCENES, build_scene
 from bssrdf.render.scenes.lathe import ring, turned
+from bssrdf.render.scenes.place import sky
 from bssrdf.render.scenes.record import Body, Scene, Thing, Viewpoint
 from bssrdf.render.surface_nets import TriangleMesh
 from bssrdf.session.records import ChannelFit, Fit
@@ -181,17 +184,22 @@ def test_a_light_spreads_by_its_diffuse_mean_free_path_and_without_absorption_by
     assert 10 * white.mean_free_path[0] < spread_mm(white)[0] < 50 * white.mean_free_path[0]
 
 
-def test_auto_takes_the_cheapest_model_that_holds() -> None:
+def test_auto_takes_the_brdf_where_light_spreads_less_than_a_pixel() -> None:
     spread = max(spread_mm(MARBLE))
-    assert choose_model(ball_of(MARBLE, 1.1 * WIDE * spread)).model == "bssrdf"
-    assert choose_model(ball_of(MARBLE, 0.9 * WIDE * spread)).model == "mc"
-    assert choose_model(ball_of(MARBLE, 100 * spread, footprint_mm=1.1 * spread)).model == "brdf"
-    dark = dataclasses.replace(MARBLE, sigma_a=tuple(sp * (1 / LEAST_ALBEDO - 0.9) for sp in MARBLE.sigma_sp))
-    assert choose_model(ball_of(dark, 1000)).model == "mc"
+    assert choose_model(ball_of(MARBLE, 100 * spread, footprint_mm=0.9 * spread))[0] == "bssrdf"
+    assert choose_model(ball_of(MARBLE, 100 * spread, footprint_mm=1.1 * spread))[0] == "brdf"
 
 
-def test_auto_does_not_take_a_model_that_cannot_render_the_scene() -> None:
-    block = build_scene("block")
-    assert mc_refusal(block)
-    assert choose_model(block).model == "bssrdf"
+def test_what_volpath_does_not_find_is_refused() -> None:
+    assert mc_refusal(build_scene("block"))
     assert mc_refusal(build_scene("block", roughness=0.3)) is None
+
+
+@pytest.mark.usefixtures("renderer")
+@pytest.mark.parametrize(("spreads", "method"), [(0.9 * WIDE, "walks"), (1.1 * WIDE, "points")])
+def test_auto_walks_in_bodies_that_are_small_against_the_spread_of_light(spreads: float, method: str) -> None:
+    radius = spreads * max(spread_mm(MARBLE))
+    scene = ball_of(MARBLE, radius)
+    ball = dataclasses.replace(scene.bodies["ball"], shape={"type": "sphere", "radius": radius})
+    lit = dataclasses.replace(scene, bodies={"ball": ball}, lights={"sky": sky(1.0)})
+    assert load_stage(lit, RenderOptions("bssrdf")).chosen.startswith(method)
