@@ -113,6 +113,7 @@ def table(scores: list[FitScore]) -> str:
     return "\n".join(lines)
 
 
+@scoped_x64
 def noisy_curves(batch: int) -> tuple[PeerProblem, np.ndarray, np.ndarray]:
     """Curves with noise, and the coefficients that they were made from."""
     cells = [

@@ -196,10 +196,25 @@ def export(out: Path | None, force: bool, pythons: tuple[Path, ...], materials: 
 @OUT
 @force_option
 @click.option("--slices", "sizes", type=click.IntRange(1), multiple=True, help="In a Parquet file; may be given again.")
-@click.option("--files", type=click.IntRange(1), default=300, show_default=True, help="slice.csv files of a batch.")
+@click.option("--files", type=click.IntRange(1), default=300, show_default=True, help="slice.csv files.")
 @click.option("--workers", type=click.IntRange(1), multiple=True, help="Of a batch; may be given again.")
-def scale(out: Path | None, force: bool, sizes: tuple[int, ...], files: int, workers: tuple[int, ...]) -> None:
-    """Curves per second by size, sessions per second by workers."""
+@click.option("--sessions", type=click.IntRange(1), default=8, show_default=True, help="For each worker to measure.")
+@click.option("--rounds", type=click.IntRange(1), default=4, show_default=True, help="Workers, then plain processes.")
+@click.option("--jax", "jax_curves", type=click.IntRange(0), default=0, help="Curves to fit by JAX too, on its device.")
+def scale(
+    out: Path | None,
+    force: bool,
+    sizes: tuple[int, ...],
+    files: int,
+    workers: tuple[int, ...],
+    sessions: int,
+    rounds: int,
+    jax_curves: int,
+) -> None:
+    """Curves per second by size, sessions per second by workers.
+
+    Each beside the fits alone, and beside plain processes.
+    """
     from bssrdf.bench.scale import SIZES, WORKERS, run_scale_bench, table
     from bssrdf.report import steps
 
@@ -209,6 +224,9 @@ def scale(out: Path | None, force: bool, sizes: tuple[int, ...], files: int, wor
             sizes=sizes or SIZES,
             files=files,
             workers=workers or WORKERS,
+            sessions=sessions,
+            rounds=rounds,
+            jax_curves=jax_curves,
             progress=progress,
         )
     click.echo(table(scores))

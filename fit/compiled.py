@@ -18,8 +18,11 @@ FROM = 100_000
 of plain curves and 250 of a camera's (CPU seconds)."""
 
 
-def settled(plan: Plan, model: Light, data: Problem, aside: Neighbours, rows: int) -> Solution:
-    """The optimum of each problem from its first start; `rows` that are compiled for, the last problem repeated."""
+def settled(plan: Plan, model: Light, data: Problem, aside: Neighbours, rows: int, *, single: bool = False) -> Solution:
+    """The optimum of each problem from its first start; `rows` that are compiled for, the last problem repeated.
+
+    It is found on JAX's default device, in float64, or with `single` in float32 (docs/scale.md states its error).
+    """
     import jax
 
     asked = {each.source for each in plan.shared} & set(aside)
@@ -27,7 +30,7 @@ def settled(plan: Plan, model: Light, data: Problem, aside: Neighbours, rows: in
     extra = rows - data.curves[0].r_lo.shape[0]
     arrays = (data.curves, data.totals, data.sds, data.samples)
     padded = jax.tree.map(lambda x: np.concatenate([x, np.repeat(x[-1:], extra, axis=0)]) if extra else x, arrays)
-    with jax.enable_x64(True), jax.numpy_rank_promotion("allow"):
+    with jax.enable_x64(not single), jax.numpy_rank_promotion("allow"):
         found: Solution = jax.tree.map(np.asarray, run(padded, {source: aside[source] for source in asked}))
     return jax.tree.map(lambda x: x[: rows - extra] if x.ndim else x, found)
 

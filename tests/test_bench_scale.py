@@ -5,20 +5,47 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from bssrdf.bench.scale import same_bits
 from bssrdf.cli import cli
 from bssrdf.commands.console import run
+from bssrdf.transport import WhiteSamples, batches, merged
 
 
-def test_the_bench_of_scale_writes_its_scores_and_names_the_device(tmp_path: Path) -> None:
+def test_the_bench_of_scale_writes_its_scores_and_names_the_device(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     pytest.importorskip("distributed")
     out = tmp_path / "scale"
-    options = ["--slices", "2", "--slices", "4", "--files", "3", "--workers", "1", "--out", str(out)]
-    assert run(cli, ["bench", "scale", *options]) == 0
+    few = ["--slices", "2", "--slices", "4", "--files", "3", "--workers", "1", "--sessions", "1", "--rounds", "1"]
+    assert run(cli, ["bench", "scale", *few, "--out", str(out)]) == 0
     scores = json.loads((out / "scale.json").read_text())
     assert [score["curves"] for score in scores["bulk"]] == [6, 12]
     assert all(score["seconds"] > 0 and score["fits_seconds"] > 0 for score in scores["bulk"])
     assert "CPU" in scores["device"]
-    assert scores["workers"][0]["inputs_per_second"] == pytest.approx(3 / scores["workers"][0]["seconds"])
+    assert scores["files"]["seconds"] > scores["files"]["fits_seconds"] > 0
+    (one,) = scores["workers"]
+    assert one["sessions"] == 1
+    assert len(one["batch_s"]) == len(one["plain_s"]) == 1
+    said = capsys.readouterr().out
+    assert "3 slice.csv files: " in said
+    assert "(1 rounds of 1) |" in said
     assert (out / "scale.png").stat().st_size > 10_000
+
+
+def test_tables_walked_on_a_cluster_have_the_bits_of_one_process(capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("distributed")
+    assert run(cli, ["bench", "tables", "--cluster", "local:2", "--core-seconds", "0.05", "--quiet"]) == 0
+    result = json.loads(capsys.readouterr().out)
+    assert result["same_bits"] is True
+    assert result["photons"] > 0
+    one, same, other = (walked(seed) for seed in (3, 3, 4))
+    assert same_bits(one, same)
+    assert not same_bits(one, other)
+
+
+def walked(seed: int) -> WhiteSamples:
+    etas, per_batch = np.array([1.3]), np.ones(8, int)
+    return merged(0.5, etas, per_batch, [batches(0.5, etas, per_batch, at, seed=seed) or [] for at in range(3)])
