@@ -17,10 +17,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from statistics import median, quantiles
 
-from bssrdf.batch import StageOptions, run_batch
-from bssrdf.batch.child import THREADS
-from bssrdf.batch.cluster import connected
-from bssrdf.batch.run import MEASURED
+from bssrdf.batch import MEASURED, THREADS, StageOptions, connected, run_batch
 from bssrdf.bench.measure import write_large
 from bssrdf.measure import measure_session
 from bssrdf.session import read_session
