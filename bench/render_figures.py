@@ -36,6 +36,8 @@ class Figure:
     panels: tuple[Panel, ...]
     exposed_by: str
     columns: int
+    roughness: float | None = None
+    """In place of the scene's own."""
 
 
 BRDF, BSSRDF = Panel("BRDF", RenderOptions("brdf")), Panel("BSSRDF", RenderOptions("bssrdf"))
@@ -54,6 +56,7 @@ FIGURES = {
         ),
         "BSSRDF",
         3,
+        roughness=0.2,
     ),
     10: Figure(
         "milk",
@@ -74,7 +77,13 @@ def make_figure(number: int, *, width_px: int = 1024, goal: Goal | None = None, 
     figure = FIGURES[number]
     pictures = {}
     for panel in figure.panels:
-        scene = build_scene(figure.scene, material=panel.material, width_px=width_px, own={"mesh": mesh})
+        scene = build_scene(
+            figure.scene,
+            material=panel.material,
+            roughness=figure.roughness,
+            width_px=width_px,
+            own={"mesh": mesh},
+        )
         pictures[panel.title] = render(scene, replace(panel.options, seed=SEED), goal or panel.goal, seed=SEED)
     return pictures
 

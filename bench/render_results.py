@@ -11,7 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from bssrdf.bench.render_cases import REFERENCE
+from bssrdf.bench.render_cases import METHODS, REFERENCE
+
+_COLOURS = {method: f"C{number}" for number, method in enumerate(METHODS)}
 
 
 @dataclass(frozen=True)
@@ -125,11 +127,11 @@ def _plot(path: Path, results: list[CaseResult]) -> None:
             seconds = np.geomspace(max(0.01, 1.05 * row.prepare_s), 10_000, 60)
             bias = 0.0 if result.rendered and row.method == REFERENCE else max(row.rel_mse_bias, 0.0)
             noise = row.variance * row.draw_s / (seconds - row.prepare_s)
-            axes.loglog(seconds, bias + noise, label=row.method)
+            axes.loglog(seconds, bias + noise, label=row.method, color=_COLOURS[row.method])
         axes.set_title(f"{result.rows[0].scene}, {result.rows[0].material}", fontsize=9)
         axes.set_xlabel("CPU seconds")
         axes.set_ylabel("relMSE")
-    panels.flat[0].legend(fontsize=7)
+    panels.flat[len(first) - 1].legend(fontsize=7)
     for axes in panels.flat[len(first) :]:
         axes.set_axis_off()
     figure.savefig(path, dpi=110)

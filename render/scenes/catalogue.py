@@ -28,7 +28,7 @@ class Entry(NamedTuple):
 SCENES = {
     "slab": Entry(slab, "Marble", takes=("light",)),
     "block": Entry(block, "Marble"),
-    "bust": Entry(bust, "Marble", roughness=0.2, takes=("mesh",)),
+    "bust": Entry(bust, "Marble", takes=("mesh",)),
     "milk": Entry(milk, "Skimmilk"),
     "face": Entry(face, "Skin1", g=0.85, roughness=0.3, takes=("mesh",)),
     "texture": Entry(texture, "Marble", takes=("texture_path",)),
