@@ -62,7 +62,7 @@ def _register_integrators(variant: str) -> None:
         def __init__(self, properties: Any) -> None:
             super().__init__(properties)
             self.settings = read_settings(properties, local=False)
-            self.plan = read_plan(properties, self.settings)
+            self.plan = read_plan(properties)
             self._prepared: dict[tuple[int, int], Prepared] = {}
             self._drawn: Prepared | None = None
 
@@ -139,14 +139,14 @@ def read_settings(properties: Any, *, local: bool) -> Settings:
     )
 
 
-def read_plan(properties: Any, settings: Settings) -> LightPlan:
+def read_plan(properties: Any) -> LightPlan:
     """How the light under surfaces is to be found. Raises InputError, one line, for a value out of range."""
     method = str(properties.get("method", LightPlan.method))
     _require(method in METHODS, "method", method, " or ".join(METHODS))
     numbers = {name: int(properties.get(name, getattr(LightPlan, name))) for name in ("light_samples", "walks", "seed")}
     for name, value in numbers.items():
         _require(value >= (name != "seed"), name, value, "a number above 0")
-    return LightPlan(kernel=settings.kernel, method="walks" if method == "walks" else "points", **numbers)
+    return LightPlan(method="walks" if method == "walks" else "points", **numbers)
 
 
 def _require(holds: bool, name: str, value: object, advice: str) -> None:

@@ -156,11 +156,11 @@ class Media:
         return self._by_channel(optics, lobe)
 
     def even_share(self, row: int) -> Floats:
-        """What comes out of even light over that of light along the normal, by channel of an untextured surface."""
+        """`even_return` by channel of an untextured surface."""
         surface, table = self.surfaces[row], self.tables[row]
-        mu, once = cosines(), transmittance_table(surface.eta, surface.alpha)
-        even = np.asarray(np.trapezoid(table.lobe * once * mu, mu, axis=1) / np.trapezoid(once * mu, mu))
-        return np.asarray(even[np.searchsorted(table.albedo, _albedo(surface))])
+        return np.asarray(
+            even_return(table, surface.eta, surface.alpha)[np.searchsorted(table.albedo, _albedo(surface))]
+        )
 
     def _by_channel(self, optics: Optics, value: Callable[[Any], Any]) -> Any:
         found = []
@@ -191,6 +191,12 @@ class Media:
         ratio = dr.square(q) / 3
         sigma_tp = surface.scale / dr.maximum(second, 1e-20)
         return ratio * sigma_tp, (1 - ratio) * sigma_tp
+
+
+def even_return(table: Kernels, eta: float, alpha: float) -> Floats:
+    """What comes out of even light that entered, over R of light along the normal, for each medium of a table (k,)."""
+    mu, entering = cosines(), transmittance_table(eta, alpha)
+    return np.asarray(np.trapezoid(table.lobe * entering * mu, mu, axis=1) / np.trapezoid(entering * mu, mu))
 
 
 def _interpolated(table: Any, size: int, row: Any, x: Any) -> Any:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -69,6 +69,34 @@ def face_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     for corner in range(3):
         np.add.at(normals, faces[:, corner], across)
     return np.asarray(normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30))
+
+
+class TexturedSurface(Protocol):
+    """What a mesh is made of, as `TriangleMesh` names it."""
+
+    @property
+    def vertices(self) -> np.ndarray: ...
+    @property
+    def normals(self) -> np.ndarray: ...
+    @property
+    def uv(self) -> np.ndarray: ...
+    @property
+    def faces(self) -> np.ndarray: ...
+
+
+def mitsuba_mesh(name: str, surface: TexturedSurface, properties: Any) -> Any:
+    """A mesh of Mitsuba's with those parts, in its current variant."""
+    import mitsuba as mi
+
+    n, m = len(surface.vertices), len(surface.faces)
+    built = mi.Mesh(name, n, m, has_vertex_normals=True, has_vertex_texcoords=True, props=properties)
+    held = mi.traverse(built)
+    held["vertex_positions"] = mi.Float(surface.vertices.astype(np.float32).ravel())
+    held["vertex_normals"] = mi.Float(surface.normals.astype(np.float32).ravel())
+    held["vertex_texcoords"] = mi.Float(surface.uv.astype(np.float32).ravel())
+    held["faces"] = mi.UInt32(surface.faces.astype(np.uint32).ravel())
+    held.update()
+    return built
 
 
 def _volume(vertices: np.ndarray, faces: np.ndarray) -> float:

@@ -12,6 +12,7 @@ import numpy as np
 
 from bssrdf.render.kernel import Kernel
 from bssrdf.render.material import RenderMaterial
+from bssrdf.render.mesh_file import mitsuba_mesh
 from bssrdf.render.points.record import LightPlan, Method
 from bssrdf.render.scenes.place import looking
 from bssrdf.render.scenes.record import Body, Bump, Plugin, Scene, Thing, Viewpoint
@@ -121,21 +122,7 @@ def _mesh(mesh: TriangleMesh, parts: dict[str, Any]) -> Any:
     properties = mi.Properties()
     for name, part in parts.items():
         properties[name] = mi.load_dict(part)
-    built = mi.Mesh(
-        "mesh",
-        len(mesh.vertices),
-        len(mesh.faces),
-        has_vertex_normals=True,
-        has_vertex_texcoords=True,
-        props=properties,
-    )
-    held = mi.traverse(built)
-    held["vertex_positions"] = mi.Float(mesh.vertices.astype(np.float32).ravel())
-    held["vertex_normals"] = mi.Float(mesh.normals.astype(np.float32).ravel())
-    held["vertex_texcoords"] = mi.Float(mesh.uv.astype(np.float32).ravel())
-    held["faces"] = mi.UInt32(mesh.faces.ravel())
-    held.update()
-    return built
+    return mitsuba_mesh("mesh", mesh, properties)
 
 
 def _sensor(camera: Viewpoint) -> dict[str, Any]:

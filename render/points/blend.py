@@ -10,10 +10,9 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial import cKDTree
 
-from bssrdf.render.interface import transmittance_table
-from bssrdf.render.kernel import Kernels, cosines
 from bssrdf.render.points.record import BodySurface, Entered, Floats, Integers
 from bssrdf.render.points.walk import Inside, Walked, walked
+from bssrdf.render.surface_nets import body_size
 
 _NEIGHBOURS = 160
 """Places in a mean, at most."""
@@ -24,7 +23,7 @@ _WANTED = 0.015
 PLACES = 6000
 """That walks start from, on a body that has room for more."""
 _BENT = 3e-4
-"""Bend of a neighbourhood from which on walks count in full; less is a plane to points, within 0.5 %."""
+"""Bend of a neighbourhood from which on walks count in full; chosen, so that a plane stays as points left it."""
 _BETWEEN = 4
 """Places that a vertex lies between."""
 _DEPOSIT = 7
@@ -64,13 +63,6 @@ def mended(
     return np.maximum(exitance + between.mean(missing, spacing / 2), 0)
 
 
-def even_return(inside: Inside, table: Kernels) -> Floats:
-    """What comes out of even light that entered, over R of light along the normal, (channels,)."""
-    mu, entering = cosines(), transmittance_table(inside.eta, inside.alpha)
-    by_medium = np.trapezoid(table.lobe * entering * mu, mu, axis=1) / np.trapezoid(entering * mu, mu)
-    return np.interp(inside.sigma_sp / (inside.sigma_a + inside.sigma_sp), table.albedo, by_medium)
-
-
 def _quiet(around: _Near, found: Walked, flat: Floats, spacing: float) -> Floats:
     """What points miss at each place, (k, channels): over so wide a neighbourhood as its noise asks for."""
     missing = found.mean - flat
@@ -86,11 +78,10 @@ def _quiet(around: _Near, found: Walked, flat: Floats, spacing: float) -> Floats
 def place_spacing(surface: BodySurface, inside: Inside) -> float:
     """A third of the way that light spreads, less where the body is small; so wide that PLACES are about enough."""
     area = float(surface.triangle_areas().sum())
-    corners = surface.vertices[surface.faces]
-    volume = abs(float(np.einsum("ij,ij->", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])))) / 6
+    thickness = body_size(surface.vertices, surface.faces) / 3
     sigma_tp = inside.sigma_a + inside.sigma_sp
     spread = float(1 / np.sqrt(3 * inside.sigma_a * sigma_tp).max()) if inside.sigma_a.max() > 0 else np.inf
-    fine = max(min(spread, volume / area) / 3, 0.5 / float(sigma_tp.mean()))
+    fine = max(min(spread, thickness) / 3, 0.5 / float(sigma_tp.mean()))
     return max(fine, float(np.sqrt(area / PLACES)))
 
 

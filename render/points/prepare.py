@@ -12,7 +12,7 @@ import mitsuba as mi
 import numpy as np
 
 from bssrdf.render.medium import Media
-from bssrdf.render.mesh_file import openings
+from bssrdf.render.mesh_file import mitsuba_mesh, openings
 from bssrdf.render.paths import EXITANCE, Settings, Tracer
 from bssrdf.render.points.blend import mended
 from bssrdf.render.points.enter import Arrived, arrive
@@ -26,25 +26,12 @@ Progress = Callable[[str, int, int], None]
 
 
 @dataclass(frozen=True)
-class Lit:
-    """A body as it stands in the prepared scene."""
-
-    name: str
-    mesh: Any
-    surface: BodySurface
-    arrived: Arrived
-    exitance: Floats
-    """Radiant exitance of each vertex, (n, channels)."""
-
-
-@dataclass(frozen=True)
 class Prepared:
     """A scene whose bodies' vertices hold the light that leaves them."""
 
     given: Any
     """The scene that it was made of, so that no other takes its place in memory."""
     scene: Any
-    bodies: tuple[Lit, ...]
     tracer: Tracer
 
 
@@ -63,13 +50,14 @@ def prepare(scene: Any, sensor: Any | None, settings: Settings, plan: LightPlan,
         if progress is not None:
             progress(f"light into {shape.id()}", number, len(meshes))
         arrived = arrive(first, mesh, surface, plan.light_samples, plan.seed)
-        bodies.append(_Dark(shape.id(), mesh, surface, arrived))
-    lit = tuple(_leave(first.media, body, bodies, plan) for body in bodies)
-    return Prepared(scene, finer, lit, Tracer(finer, settings))
+        bodies.append(_LitBody(shape.id(), mesh, surface, arrived))
+    for body in bodies:
+        _leave(first.media, body, bodies, plan)
+    return Prepared(scene, finer, Tracer(finer, settings))
 
 
 @dataclass(frozen=True)
-class _Dark:
+class _LitBody:
     name: str
     mesh: Any
     surface: BodySurface
@@ -118,21 +106,7 @@ def _optics(media: Media, shape: Any, surface: BodySurface) -> _Coefficients:
 def _mesh(shape: Any, surface: BodySurface) -> Any:
     properties = mi.Properties()
     properties["bsdf"] = shape.bsdf()
-    built = mi.Mesh(
-        shape.id(),
-        len(surface.vertices),
-        len(surface.faces),
-        props=properties,
-        has_vertex_normals=True,
-        has_vertex_texcoords=True,
-    )
-    held = mi.traverse(built)
-    held["vertex_positions"] = mi.Float(surface.vertices.astype(np.float32).ravel())
-    held["vertex_normals"] = mi.Float(surface.normals.astype(np.float32).ravel())
-    held["vertex_texcoords"] = mi.Float(surface.uv.astype(np.float32).ravel())
-    held["faces"] = mi.UInt32(surface.faces.astype(np.uint32).ravel())
-    held.update()
-    return built
+    return mitsuba_mesh(shape.id(), surface, properties)
 
 
 def _rebuilt(scene: Any, shapes: list[Any], meshes: list[Any]) -> Any:
@@ -144,7 +118,7 @@ def _rebuilt(scene: Any, shapes: list[Any], meshes: list[Any]) -> Any:
     return mi.load_dict({"type": "scene", **things}, optimize=False)
 
 
-def _leave(media: Media, body: _Dark, bodies: list[_Dark], plan: LightPlan) -> Lit:
+def _leave(media: Media, body: _LitBody, bodies: list[_LitBody], plan: LightPlan) -> None:
     """Sum the light of all shapes that share the body's surface, and put what leaves on its vertices."""
     same = [other for other in bodies if other.mesh.bsdf() == body.mesh.bsdf()]
     optics = _optics(media, body.mesh, body.surface)
@@ -153,10 +127,9 @@ def _leave(media: Media, body: _Dark, bodies: list[_Dark], plan: LightPlan) -> L
         exitance = _by_walks(media, body, same, optics, exitance, plan)
     over = (exitance / np.maximum(optics.total, 1e-30)).astype(np.float32)
     body.mesh.add_attribute(EXITANCE, over.shape[1], mi.Float(over.ravel()))
-    return Lit(body.name, body.mesh, body.surface, body.arrived, exitance)
 
 
-def _by_points(media: Media, body: _Dark, same: list[_Dark], optics: _Coefficients, plan: LightPlan) -> Floats:
+def _by_points(media: Media, body: _LitBody, same: list[_LitBody], optics: _Coefficients, plan: LightPlan) -> Floats:
     first, place = body.surface.places()
     return gather(
         np.concatenate([other.surface.vertices[other.surface.faces] for other in same]),
@@ -169,12 +142,12 @@ def _by_points(media: Media, body: _Dark, same: list[_Dark], optics: _Coefficien
     )[place]
 
 
-def _row(media: Media, body: _Dark) -> int:
+def _row(media: Media, body: _LitBody) -> int:
     return next(i for i, surface in enumerate(media.surfaces) if surface is body.mesh.bsdf().surface)
 
 
 def _by_walks(
-    media: Media, body: _Dark, same: list[_Dark], optics: _Coefficients, exitance: Floats, plan: LightPlan
+    media: Media, body: _LitBody, same: list[_LitBody], optics: _Coefficients, exitance: Floats, plan: LightPlan
 ) -> Floats:
     """What points find, mended; where a body is open or its coefficients vary, it is left as it is."""
     surface = media.surfaces[_row(media, body)]

@@ -8,8 +8,6 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from bssrdf.render.kernel import Kernel
-
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
@@ -70,7 +68,6 @@ class Entered:
 class LightPlan:
     """How the light under surfaces is found."""
 
-    kernel: Kernel = "table"
     method: Method = "points"
     per_mean_free_path: float = 1.0
     """Edges of triangles along the shortest 1/σt′, where a pixel is not larger."""
