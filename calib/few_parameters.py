@@ -89,20 +89,26 @@ def _slopes(residual: Callable[[Array], Array], x: Array, here: Array, high: Arr
 
 
 def root(function: Callable[[float], float], low: float, high: float, close: float) -> float:
-    """Where a function that has opposite signs at `low` and `high` is 0, to `close`: the Illinois rule of false
-    position (Dowell & Jarratt 1971)."""
-    at_low, at_high = function(low), function(high)
-    if at_low * at_high > 0:
+    """Where a function that has opposite signs at `low` and `high` is 0, to `close`: the bracket is cut by inverse
+    quadratic interpolation where three values allow it, else in half (Chandrupatla 1997)."""
+    a, b, at_a, at_b = low, high, function(low), function(high)
+    if at_a * at_b > 0:
         raise BssrdfError(f"no sign changes between {low:g} and {high:g}")
-    middle = low
-    for _ in range(_MOST_STEPS):
-        before, middle = middle, (low * at_high - high * at_low) / (at_high - at_low)
+    share = 0.5
+    while True:
+        middle = a + share * (b - a)
         here = function(middle)
-        if here == 0 or abs(middle - before) < close:
-            return middle
-        if here * at_high < 0:
-            low, at_low = high, at_high
+        if (here > 0) == (at_a > 0):
+            c, at_c = a, at_a
         else:
-            at_low /= 2
-        high, at_high = middle, here
-    return middle
+            c, at_c, b, at_b = b, at_b, a, at_a
+        a, at_a = middle, here
+        least = close / (2 * max(abs(b - a), 1e-300))
+        if at_a == 0 or least > 0.5:
+            return a if abs(at_a) < abs(at_b) else b
+        apart, rise = (a - b) / (c - b), (at_a - at_b) / (at_c - at_b)
+        share = 0.5
+        if rise**2 < apart and (1 - rise) ** 2 < 1 - apart:
+            share = at_a / (at_b - at_a) * at_c / (at_b - at_c)
+            share += (c - a) / (b - a) * at_a / (at_c - at_a) * at_b / (at_c - at_b)
+        share = min(1 - least, max(least, share))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 from scipy.optimize import brentq
@@ -50,11 +52,15 @@ def test_a_parameter_that_nothing_tells_does_no_harm() -> None:
     np.testing.assert_allclose(found.x, [1, 2], rtol=1e-9)
 
 
-@pytest.mark.parametrize(("low", "high"), [(-3.0, 5.0), (0.5, 40.0), (40.0, 0.5)])
-def test_the_root_is_scipys(low: float, high: float) -> None:
-    def function(x: float) -> float:
-        return float(np.exp(-x) - 0.3)
-
+@pytest.mark.parametrize(
+    ("function", "low", "high"),
+    [
+        *((lambda x: float(np.exp(-x) - 0.3), *ends) for ends in [(-3.0, 5.0), (0.5, 40.0), (40.0, 0.5)]),
+        (lambda x: x**9 - 1e-6, 0.0, 10.0),  # all but flat at one end: a chord from there does not move
+        (lambda x: 1 - 1e-12 - float(np.exp(x)), -40.0, 3.0),
+    ],
+)
+def test_the_root_is_scipys(function: Callable[[float], float], low: float, high: float) -> None:
     assert root(function, low, high, 1e-9) == pytest.approx(brentq(function, low, high), abs=1e-8)
 
 
