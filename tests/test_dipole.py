@@ -91,7 +91,7 @@ def test_bin_average_is_the_mean_over_its_annulus(medium: Medium, r_mfp: float, 
     r_hi = r_lo * (1 + relative_width)
     area = np.pi * (r_hi - r_lo) * (r_hi + r_lo)
     nodes, weights = np.polynomial.legendre.leggauss(60)
-    narrow = relative_width < 0.1 or r_hi < 0.1 * float(medium.z_r)  # near the beam `integral` loses digits: u is near 1
+    narrow = relative_width < 0.1 or r_hi < 0.1 * float(medium.z_r)  # there `integral` loses digits: u is near 1
     if narrow and float(medium.sigma_tr) * (r_hi - r_lo) < 20:
         r = (r_lo + r_hi) / 2 + nodes * (r_hi - r_lo) / 2
         expected = np.sum(weights * r * np.asarray(dipole.rd(medium, r))) / np.sum(weights * r)
