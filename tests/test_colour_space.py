@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from test_measure_session import write_session
+from wax_session import write_session
 
 from bssrdf.calib import may_have_narrow_band, slice_matrix
 from bssrdf.calib.colour import fit_matrix

@@ -1,74 +1,37 @@
 """`measure_session` on sessions made here with plain numpy noise."""
 
-import shutil
 import subprocess
 import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 import tifffile
-from builders import film, of_kinds
+from wax_session import (
+    BLACK,
+    EXPOSURES_S,
+    GAIN,
+    MM_PER_PX,
+    RHO,
+    SHAPE,
+    TOTAL,
+    VIEW_DEG,
+    WHITE,
+    falloff,
+    picture,
+    tile,
+    write_session,
+)
 
 from bssrdf.bench.measure import write_large
 from bssrdf.errors import InputError
-from bssrdf.measure.hdr import SATURATED
 from bssrdf.measure.session import measure_session
-from bssrdf.measure.summary import read_summary
 from bssrdf.measure.total_errors import polarisation_rel_sd
-from bssrdf.session.flags import Flag
-from bssrdf.session.frames_csv import read_frames, write_frames
-from bssrdf.session.hdr_image import HdrExr, read_hdr_exr, write_hdr_exr
+from bssrdf.session.hdr_image import read_hdr_exr
 from bssrdf.session.keys import keys_of
-from bssrdf.session.records import Beam, Camera, Geometry, Material, Reference, Session
+from bssrdf.session.records import Session
 from bssrdf.session.session_toml import TABLES
 from bssrdf.session.slice_csv import read_slice
-
-EXPOSURES_S = [0.001 * 4**k for k in range(7)]
-BLACK, WHITE, GAIN, READ_NOISE_E = 500, 16383, 4.0, 3.0
-MM_PER_PX, VIEW_DEG, RHO = 0.05, 45.0, 0.98
-SHAPE = (120, 160)
-
-
-def falloff(r_mm):
-    """A curve [1/mm²] that is known in closed form: two Gaussians and an exponential tail."""
-    return 0.8 * np.exp(-((r_mm / 0.5) ** 2)) + 0.05 * np.exp(-r_mm)
-
-
-TOTAL = np.pi * 0.8 * 0.5**2 + 2 * np.pi * 0.05
-
-
-def picture(curve, centre=(82.3, 57.6), shape=SHAPE):
-    y, x = np.mgrid[: shape[0], : shape[1]].astype(float)
-    total = np.zeros(shape)
-    for dx in (-1 / 3, 0, 1 / 3):
-        for dy in (-1 / 3, 0, 1 / 3):
-            u = (x + dx - centre[0]) * MM_PER_PX
-            v = (y + dy - centre[1]) * MM_PER_PX / np.cos(np.radians(VIEW_DEG))
-            total += curve(np.hypot(u, v)) / 9
-    return total
-
-
-def tile(r_mm):
-    return RHO * 3.0 * np.exp(-6 * r_mm**2) * 2 / np.pi
-
-
-def write_session(
-    path: Path, *, seed=0, sample=falloff, reference=tile, layout="RGGB", shape=SHAPE, e_per_s=None, sd=0.0049
-):
-    pictures = {"sample": picture(sample, shape=shape), "reference": picture(reference, (80, 60), shape)}
-    e_per_s = e_per_s or 0.8 * (WHITE - BLACK) * GAIN / EXPOSURES_S[0] / max(p.max() for p in pictures.values())
-    session = Session(
-        path,
-        Camera(layout, BLACK, WHITE, GAIN, READ_NOISE_E),
-        Material("wax", 1.4),
-        Geometry(MM_PER_PX, view_angle_deg=VIEW_DEG, view_angle_sd_deg=0.2, mm_per_px_rel_sd=0.001),
-        Beam(channels=("633nm",) if layout == "mono" else None),
-        Reference("tile", (RHO,), (sd,)),
-    )
-    light, rng = of_kinds(pictures, e_per_s), np.random.default_rng(seed)
-    return film(session, light, EXPOSURES_S, rng, gain_e_per_dn=GAIN, read_noise_e=READ_NOISE_E)
 
 
 @pytest.fixture(scope="module")
@@ -320,91 +283,6 @@ def test_a_spot_narrower_than_the_mosaic_widens_the_error_of_red_and_blue(tmp_pa
     for channel in "RB":
         assert curve.total_r_sd[channel] > 3 * curve.total_r_sd["G"]
         assert 0 < error[channel] < 4 * curve.total_r_sd[channel] / curve.total_r[channel]
-
-
-def curve_files(folder):
-    return {name: (folder / name).read_bytes() for name in ("slice.csv", "slice.png")}
-
-
-def test_a_curve_from_the_merged_images_is_that_of_the_whole_run_and_reads_no_frame(tmp_path):
-    session = write_session(tmp_path / "again")
-    whole = measure_session(session)
-    before = curve_files(session.path / "measured")
-    radial = measure_session(session, radial=True)
-    measure_session(session)
-    shutil.rmtree(session.path / "frames")
-    again = measure_session(session, from_hdr=True)
-    assert curve_files(session.path / "measured") == before
-    assert (again.slice.total_r, again.slice.total_r_sd) == (whole.slice.total_r, whole.slice.total_r_sd)
-    for name, part in measure_session(session, from_hdr=True, radial=True).slice.channels.items():
-        np.testing.assert_array_equal(part.rd_per_mm2, radial.slice.channels[name].rd_per_mm2)
-
-
-def rows_read(monkeypatch):
-    """The rows of each part that are read from then on."""
-    read, rows = HdrExr.rows, set()
-
-    def watched(self, part, low, high):
-        rows.update((part, row) for row in range(low, high))
-        return read(self, part, low, high)
-
-    monkeypatch.setattr(HdrExr, "rows", watched)
-    return rows
-
-
-def test_a_curve_read_again_needs_the_pixels_near_the_slice_alone(tmp_path, monkeypatch):
-    session = write_session(tmp_path / "tall", shape=(2000, 120))
-    measure_session(session)
-    before = curve_files(session.path / "measured")
-    rows = rows_read(monkeypatch)
-    measure_session(session, from_hdr=True)
-    assert curve_files(session.path / "measured") == before
-    assert {part for part, _ in rows} == {"radiance", "variance", "mask"}
-    assert len(rows) < 0.5 * 3 * 2000
-
-
-@pytest.mark.parametrize("spoil", [Path.unlink, Path.touch, lambda path: path.write_bytes(path.read_bytes()[:9999])])
-def test_without_its_summary_an_image_is_read_whole_and_summed_up_anew(tmp_path, spoil):
-    session = write_session(tmp_path / "again")
-    measure_session(session)
-    before, summary = curve_files(session.path / "measured"), session.path / "measured/sample.npz"
-    spoil(summary if spoil is not Path.touch else summary.with_suffix(".exr"))
-    measure_session(session, from_hdr=True)
-    assert curve_files(session.path / "measured") == before
-    assert read_summary(summary, summary.with_suffix(".exr")) is not None
-
-
-def test_an_image_changed_by_hand_is_taken_as_it_is_now(tmp_path):
-    session = write_session(tmp_path / "edited")
-    assert Flag.GLINT not in measure_session(session).slice.flags
-    path = session.path / "measured/sample.exr"
-    parts, provenance = read_hdr_exr(path)
-    parts["mask"][5, 5] = SATURATED
-    write_hdr_exr(path, parts, provenance)
-    assert Flag.GLINT in measure_session(session, from_hdr=True).slice.flags
-
-
-def test_images_of_other_frames_or_another_camera_are_refused(tmp_path):
-    session = write_session(tmp_path / "stale")
-    with pytest.raises(InputError, match=r"sample.exr: is not there; run `bssrdf measure` without --from-hdr"):
-        measure_session(session, from_hdr=True)
-    measure_session(session)
-    brighter = replace(session, camera=replace(session.camera, white=9000.0))
-    with pytest.raises(InputError, match=r"before frames.csv or \[camera\] changed"):
-        measure_session(brighter, from_hdr=True)
-    assert measure_session(replace(session, camera=replace(session.camera, aperture_mm=1.0)), from_hdr=True).slice
-    frames = read_frames(session.path)
-    write_frames(session.path, frames[1:])
-    with pytest.raises(InputError, match=r"before frames.csv or \[camera\] changed"):
-        measure_session(session, from_hdr=True)
-    write_frames(session.path, [replace(frames[0], sha256="0" * 64), *frames[1:]])
-    with pytest.raises(InputError, match=r"was made from another frames/sample_0.tif"):
-        measure_session(session, from_hdr=True)
-    write_frames(session.path, frames)
-    measure_session(write_session(tmp_path / "other", seed=5))
-    shutil.copy(tmp_path / "other/measured/reference.exr", session.path / "measured/reference.exr")
-    with pytest.raises(InputError, match=r"reference.exr: comes from another run"):
-        measure_session(session, from_hdr=True)
 
 
 @pytest.mark.parametrize("eta", [1.3, 1.5])
