@@ -14,6 +14,7 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 
 from bssrdf.transport.arrays import Engine
+from bssrdf.transport.splines import cubic, cubic_value, locate, powers_at, spline, spline_rows
 from bssrdf.transport.white.grid import Q_MAX, Q_ZERO, R_MAX, R_ZERO, RHO_ZERO, U_MAX, V_MAX, W_MAX
 
 SMALLEST_Q = 1e-12
@@ -171,7 +172,7 @@ class WhiteTable(NamedTuple):
         aq = xp.maximum(xp.abs(q), SMALLEST_Q)
         albedo = 1 - aq * aq / 3
         u, u_q = _u(xp, aq)
-        loss, by_u = _spline(e, self.log_total[None], u)
+        loss, by_u = spline(e, self.log_total[None], u)
         inside = albedo * xp.exp(-loss)
         return xp.where(q >= 0, inside, 2 - inside), -inside * (2 * aq / 3 / albedo + by_u * u_q)
 
@@ -181,15 +182,15 @@ class WhiteTable(NamedTuple):
         aq = xp.maximum(xp.abs(q), SMALLEST_Q)
         albedo = 1 - aq * aq / 3
         u, u_q = _u(xp, aq)
-        ratio, ratio_u = _spline(e, self.diffusion_ratio[None], u)
+        ratio, ratio_u = spline(e, self.diffusion_ratio[None], u)
         kappa_q = 1 / aq + ratio_u * u_q / (2 * ratio)  # of ln κ
-        row, row_u = _rows(xp, self.log_curve, u[:, 0])
+        row, row_u = spline_rows(xp, self.log_curve, u[:, 0])
         n = row.shape[-1]
         v = xp.log1p(x / R_ZERO) * (n / V_MAX)
         inside = xp.minimum(v, n)
-        cell, f = _cell(xp, inside, n)
-        smooth, smooth_v = _cubic(e.take(row, cell), f)
-        smooth_u = _cubic_value(e.take(row_u, cell), f)
+        cell, f = locate(xp, inside, n)
+        smooth, smooth_v = cubic(e.take(row, cell), f)
+        smooth_u = cubic_value(e.take(row_u, cell), f)
         beyond = inside - v  # diffusing light goes on as the cube of the radius
         y = aq * xp.sqrt(ratio) * x
         fallen = xp.exp(smooth + 3 * V_MAX / n * beyond - y + 2 * xp.log(albedo))
@@ -211,8 +212,8 @@ class WhiteTable(NamedTuple):
         rho = t * x
         n = self.first.shape[-1]
         w = xp.log1p(rho / RHO_ZERO) * (n / W_MAX)
-        cell, f = _cell(xp, xp.minimum(w, n), n)
-        level, level_w = _cubic(_powers(e, self.first, cell), f)
+        cell, f = locate(xp, xp.minimum(w, n), n)
+        level, level_w = cubic(powers_at(e, self.first, cell), f)
         value = s * xp.exp(level - self.first_decay * rho) / x
         slope = rho * (xp.where(w < n, level_w, 0.0) * (n / W_MAX) / (rho + RHO_ZERO) - self.first_decay)
         return value, value * (slope - 1), xp.sign(q) * value * (s_q / s + slope * (t_q / t))
@@ -222,16 +223,16 @@ class WhiteTable(NamedTuple):
         aq = xp.maximum(xp.abs(q), SMALLEST_Q)
         u, u_q = _u(xp, aq)
         mean, across = _exit_bases(self.eta, mu)
-        row, row_u = _rows(xp, self.angles, u[:, 0])
+        row, row_u = spline_rows(xp, self.angles, u[:, 0])
         n = row.shape[-1]
         v = xp.log1p(x / R_ZERO) * (n / V_MAX)
-        cell, f = _cell(xp, xp.minimum(v, n), n)
+        cell, f = locate(xp, xp.minimum(v, n), n)
         v_x = xp.where(v < n, n / V_MAX * x / (x + R_ZERO), 0.0)
         parts = []
         for basis, k in ((mean, slice(0, mean.size)), (across, slice(mean.size, None))):
             here, here_u = ((basis[:, None, None] * each[:, k]).sum(1) for each in (row, row_u))
-            value, by_v = _cubic(e.take(here, cell), f)
-            parts.append((value, by_v * v_x, _cubic_value(e.take(here_u, cell), f) * u_q * xp.sign(q)))
+            value, by_v = cubic(e.take(here, cell), f)
+            parts.append((value, by_v * v_x, cubic_value(e.take(here_u, cell), f) * u_q * xp.sign(q)))
         lobe, lobe_x, lobe_q = (a - cos_2 * b for a, b in zip(*parts, strict=True))
         m, m_x, m_q = self._multiple(e, q, x)
         once, once_x, once_q = self._first_radiance(e, q, x, mu)
@@ -258,7 +259,7 @@ class WhiteTable(NamedTuple):
     def total_radiance_factor(self, e: Engine, q: Any, mu: float) -> Any:
         u, _ = _u(e.xp, e.xp.maximum(e.xp.abs(q), SMALLEST_Q))
         mean, _ = _exit_bases(self.eta, mu)
-        return sum(float(b) * _spline(e, self.total_angles[k][None], u)[0] for k, b in enumerate(mean))
+        return sum(float(b) * spline(e, self.total_angles[k][None], u)[0] for k, b in enumerate(mean))
 
     def shape_sd(self, e: Engine, q: Any, x: Any) -> Any:
         """Of the light scattered twice or more, at the nearest albedo of the table; by all light."""
@@ -266,7 +267,7 @@ class WhiteTable(NamedTuple):
         aq = xp.minimum(xp.maximum(xp.abs(q), SMALLEST_Q), self.q_max)
         rows, n = self.log_curve_sd.shape
         row = xp.clip((_u(xp, aq)[0] * (rows - 1) + 0.5).astype(xp.int32), 0, rows - 1)
-        at, f = _cell(xp, xp.minimum(xp.log1p(x / R_ZERO) * ((n - 1) / V_MAX), n - 1), n - 1)
+        at, f = locate(xp, xp.minimum(xp.log1p(x / R_ZERO) * ((n - 1) / V_MAX), n - 1), n - 1)
         sd = xp.asarray(self.log_curve_sd)[row[:, 0]]
         (left,), (right,) = e.take(sd[:, None, :-1], at), e.take(sd[:, None, 1:], at)
         return left + f * (right - left)
@@ -361,50 +362,6 @@ def _u(xp: Any, aq: Any) -> tuple[Any, Any]:
     albedo = 1 - aq * aq / 3
     u = (xp.log1p(big / Q_ZERO) - xp.log(albedo) / 2) / U_MAX
     return u, (aq / 3 / big / (big + Q_ZERO) + aq / 3 / albedo) / U_MAX
-
-
-def _cell(xp: Any, at: Any, n: int) -> tuple[Any, Any]:
-    """Which of n cells holds a place in [0, n], and where in it."""
-    cell = xp.maximum(xp.minimum(at, n - 1).astype(xp.int32), 0)  # what is not a number has to lie somewhere
-    return cell, at - cell
-
-
-def _cubic(powers: tuple[Any, ...], f: Any) -> tuple[Any, Any]:
-    """Value and slope of cubics at f ∈ [0, 1]."""
-    _, b, c, d = powers
-    return _cubic_value(powers, f), (3 * d * f + 2 * c) * f + b
-
-
-def _cubic_value(powers: tuple[Any, ...], f: Any) -> Any:
-    a, b, c, d = powers
-    return ((d * f + c) * f + b) * f + a
-
-
-def _powers(e: Engine, cells: Any, cell: Any) -> tuple[Any, ...]:
-    """Those of one spline (4, n) for all rows, in the shape of `cell`."""
-    return tuple(each.reshape(cell.shape) for each in e.take(cells[None], cell.reshape(1, -1)))
-
-
-def _spline(e: Engine, cells: Any, t: Any) -> tuple[Any, Any]:
-    """One spline (1, 4, n) for all rows at t ∈ [0, 1] of any shape; value and slope by t."""
-    n = cells.shape[-1]
-    cell, f = _cell(e.xp, t * n, n)
-    value, slope = _cubic(_powers(e, cells[0], cell), f)
-    return value, slope * n
-
-
-def _rows(xp: Any, table: Any, t: Any) -> tuple[Any, Any]:
-    """What B-spline coefficients along a table's first axis hold at t (b,) in [0, 1], and the slope by t."""
-    n_cells = table.shape[0] - 3
-    table = xp.asarray(table)
-    first = xp.clip((t * n_cells).astype(xp.int32), 0, n_cells - 1)
-    f = (t * n_cells - first).reshape((-1,) + (1,) * (table.ndim - 1))
-    h = 1 - f
-    weights = (h**3 / 6, 2 / 3 - f * f * (1 - f / 2), 2 / 3 - h * h * (1 - h / 2), f**3 / 6)
-    slopes = (-h * h / 2, f * (1.5 * f - 2), h * (2 - 1.5 * h), f * f / 2)
-    rows = [table[first + k] for k in range(4)]
-    value = sum(w * r for w, r in zip(weights, rows, strict=True))
-    return value, n_cells * sum(w * r for w, r in zip(slopes, rows, strict=True))
 
 
 def _exit_bases(eta: float, mu: float) -> tuple[Any, Any]:
