@@ -22,7 +22,7 @@ from bssrdf.batch.state import Told
 from bssrdf.errors import BssrdfError
 
 _TICK_S = 0.2
-THREADS = ("NUMBA_NUMTHREADS", "OMP_NUMTHREADS", "OPENBLAS_NUMTHREADS", "MKL_NUMTHREADS")
+THREADS = ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
 class ProcessDiedError(BssrdfError):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import json
 import os
 import random
@@ -18,7 +19,7 @@ import pytest
 from filmed import edit, film, marble
 from many_curves import files_of, plain, rich
 
-from bssrdf.batch import Named, read_fits_of, write_slices
+from bssrdf.batch import THREADS, Named, read_fits_of, write_slices
 from bssrdf.cli import cli
 from bssrdf.commands.console import run
 from bssrdf.fit import fit_slice
@@ -242,6 +243,16 @@ def test_a_lost_worker_changes_nothing(slices: Path, table: bytes, tmp_path: Pat
     assert killed
     assert process.returncode == 3, said
     assert tables(out) == table
+
+
+def test_compiled_code_obeys_the_number_of_threads_of_a_worker() -> None:
+    tell = "import numba, numpy, threadpoolctl as t; print(numba.config.NUMBA_NUM_THREADS, t.threadpool_info())"
+    done = subprocess.run(
+        [sys.executable, "-c", tell], env=os.environ | dict.fromkeys(THREADS, "1"), capture_output=True, text=True
+    )
+    count, libraries = done.stdout.split(" ", 1)
+    assert count == "1", done.stderr
+    assert [each["num_threads"] for each in ast.literal_eval(libraries)] == [1]
 
 
 def test_a_worker_over_its_memory_is_named_and_its_input_done_next_time(
