@@ -1,4 +1,4 @@
-"""The batched search of `fit` by NumPy, and by JAX on its default device in float64 and float32."""
+"""The batched search of `fit` by NumPy, and by JAX on its default device in float64 and float32, by size of batch."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from platform import machine
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
-from bssrdf.bench.bulk import noisy_slices
+from bssrdf.bench.bulk import CHANNELS, noisy_slices
 from bssrdf.fit import shipped_table
 from bssrdf.fit.batch import Fitted, fit_group
 from bssrdf.fit.compiled import settled
 from bssrdf.fit.jobs import Job, Options
 from bssrdf.fit.solve import Solution, settle, start
-from bssrdf.session.records import Slice
-from bssrdf.transport.arrays import NUMPY
+from bssrdf.transport.arrays import NUMPY, picked
 from bssrdf.transport.light import coefficients
 
 Engine = Literal["NumPy", "float64", "float32"]
@@ -27,14 +27,18 @@ SINGLE_ERROR = 1e-4
 """Relative, of σa and σs′ in float32 where it finds them: 3e-5 is the most of 309 curves, 0.004 of a standard error.
 Curves of albedo 0.02 it does not find."""
 _SOFT = Options("soft", scale_free=False, robust=False, window_mm=None, tables="shipped")
+BATCHES = (256, 2048, 16_384)
+"""Curves that go through together: 256 is what `fit` takes on a CPU, for its caches; a GPU wants more."""
+Search = Callable[[slice], Solution]
 
 
 @dataclass(frozen=True)
 class EngineScore:
-    """One engine on one device."""
+    """One engine on one device, by one size of batch."""
 
     engine: str
     device: str
+    batch: int
     curves: int
     seconds: float
     """On the clock, of a second run: JAX's first compiles."""
@@ -44,59 +48,75 @@ class EngineScore:
 
 
 def engine_scores(curves: int) -> list[EngineScore]:
-    """The search for so many curves by NumPy, and by JAX in float64 and float32."""
-    return [engine_score(curves, engine) for engine in ("NumPy", "float64", "float32")]
+    """The search for so many curves by NumPy, and by JAX in float64 and float32, by each size of batch."""
+    engines: tuple[Engine, ...] = ("NumPy", "float64", "float32")
+    return [score for engine in engines for score in scores_of(curves, engine)]
 
 
-def engine_score(curves: int, engine: Engine, platform: str | None = None) -> EngineScore:
-    """That of one engine, in a process of its own: JAX does not change its precision once it has compiled.
+def scores_of(curves: int, engine: Engine, platform: str | None = None) -> list[EngineScore]:
+    """Those of one engine, in a process of its own: JAX does not change its precision once it has compiled.
 
     `platform` is JAX's name of a kind of device, its default if None; RuntimeError where there is none of them.
     """
-    pieces = [*noisy_slices(-(-curves // 3))]
     with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as fresh:
-        return fresh.submit(_scored, pieces, curves, engine, platform).result()
+        return fresh.submit(_scored, curves, engine, platform).result()
 
 
-def _scored(pieces: list[Slice], curves: int, engine: Engine, platform: str | None) -> EngineScore:
+def _scored(curves: int, engine: Engine, platform: str | None) -> list[EngineScore]:
+    ours = fitted(curves)
+    sizes = sorted({min(batch, curves) for batch in BATCHES})
+    return [timed(ours, batch, *search_of(ours, engine, batch, platform)) for batch in sizes]
+
+
+def fitted(curves: int) -> Fitted:
+    """So many of the bench's curves, fitted by NumPy."""
+    pieces = [*noisy_slices(-(-curves // len(CHANNELS)))]
     jobs = [Job((piece,), channel) for piece in pieces for channel in piece.channels]
-    ours = fit_group(jobs[:curves], _SOFT, shipped_table(pieces[0].eta, 0.0))
-    name, run = _by_numpy(ours) if engine == "NumPy" else _by_jax(ours, engine == "float32", platform)
-    run()
+    return fit_group(jobs[:curves], _SOFT, shipped_table(pieces[0].eta, 0.0))
+
+
+def search_of(ours: Fitted, engine: Engine, batch: int, platform: str | None) -> tuple[str, str, Search]:
+    """What the engine is called, its device, and its search for some rows."""
+    if engine == "NumPy":
+        return "NumPy, float64", f"{machine()} CPU", lambda rows: _by_numpy(ours, rows)
+    return f"JAX, {engine}", *_by_jax(ours, engine == "float32", batch, platform)
+
+
+def timed(ours: Fitted, batch: int, engine: str, device: str, search: Search) -> EngineScore:
+    """The search for all curves, batch by batch, a second time."""
+    _searched(ours, batch, search)
     began = time.perf_counter()
-    found = run()
+    found = _searched(ours, batch, search)
     seconds = time.perf_counter() - began
-    both = found.converged & ours.found.converged
-    title = "NumPy, float64" if engine == "NumPy" else f"JAX, {engine}"
-    return EngineScore(
-        title, name, curves, seconds, float(_off(found, ours)[both].max()), int((~found.converged).sum())
-    )
+    converged = np.concatenate([each.converged for each in found])
+    off = np.abs(np.concatenate([*map(_coefficients, found)]) / _coefficients(ours.found) - 1).max(axis=1)
+    both = converged & ours.found.converged
+    return EngineScore(engine, device, batch, len(ours.jobs), seconds, float(off[both].max()), int((~converged).sum()))
 
 
-def _by_numpy(ours: Fitted) -> tuple[str, Callable[[], Solution]]:
-    def run() -> Solution:
-        begun, _ = start(NUMPY, ours.plan, ours.model, ours.data, 0)
-        return settle(NUMPY, ours.plan, ours.model, ours.data, begun, ours.beside)
-
-    return f"{machine()} CPU", run
+def _searched(ours: Fitted, batch: int, search: Search) -> list[Solution]:
+    return [search(slice(at, at + batch)) for at in range(0, len(ours.jobs), batch)]
 
 
-def _by_jax(ours: Fitted, single: bool, platform: str | None) -> tuple[str, Callable[[], Solution]]:
+def _by_numpy(ours: Fitted, rows: slice) -> Solution:
+    data = picked(ours.data, rows)
+    begun, _ = start(NUMPY, ours.plan, ours.model, data, 0)
+    return settle(NUMPY, ours.plan, ours.model, data, begun, ours.beside)
+
+
+def _by_jax(ours: Fitted, single: bool, batch: int, platform: str | None) -> tuple[str, Search]:
     import jax
 
     device = jax.devices(platform)[0]
 
-    def run() -> Solution:
+    def search(rows: slice) -> Solution:
         with jax.default_device(device):
-            return settled(ours.plan, ours.model, ours.data, ours.beside, len(ours.jobs), single=single)
+            return settled(ours.plan, ours.model, picked(ours.data, rows), ours.beside, batch, single=single)
 
-    return f"{machine()} CPU" if device.platform == "cpu" else str(device.device_kind), run
+    return f"{machine()} CPU" if device.platform == "cpu" else str(device.device_kind), search
 
 
-def _off(theirs: Solution, ours: Fitted) -> np.ndarray:
-    """(b,): the larger relative distance of σa and σs′ from NumPy's."""
-    a, b = (
-        np.hstack(coefficients(np.asarray(point.log_sigma, float), np.asarray(point.q, float)))
-        for point in (theirs.point, ours.found.point)
-    )
-    return np.abs(a / b - 1).max(axis=1)
+def _coefficients(found: Solution) -> NDArray[np.float64]:
+    """(b, 2): σa and σs′."""
+    point = found.point
+    return np.hstack(coefficients(np.asarray(point.log_sigma, float), np.asarray(point.q, float)))

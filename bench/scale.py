@@ -108,9 +108,10 @@ def table(scores: ScaleScores) -> str:
         for s in scores.workers
     ]
     if scores.engines:
-        lines += ["", "| search | device | curves/s | largest error | not found |", "|---|---|---:|---:|---:|"]
+        lines += ["", "| search | device | batch | curves/s | error | lost |", "|---|---|---:|---:|---:|---:|"]
         lines += [
-            f"| {s.engine} | {s.device} | {s.curves / s.seconds:.0f} | {s.largest_error:.0e} | {s.not_found} |"
+            f"| {s.engine} | {s.device} | {s.batch} | {s.curves / s.seconds:.0f} "
+            f"| {s.largest_error:.0e} | {s.not_found} |"
             for s in scores.engines
         ]
     return "\n".join(lines)
