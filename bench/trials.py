@@ -2,22 +2,24 @@
 
 Each cell of the material table is walked by the engine (`trial_light`). A trial is that light with fresh noise, 1 % a
 radius and 0.2 % on R, and with errors of scale and length drawn for the whole of it, fitted by `soft`. The walk's own
-noise is counted as part of the 1 %; trials of a cell share it, so what all cells come to is bootstrapped over cells.
+noise is counted as part of the 1 %; trials of a cell share it, or each has light of its own. What all cells come to is
+bootstrapped over cells.
 """
 
 from __future__ import annotations
 
 import json
+import warnings
 from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bssrdf.bench.trial_light import Cell, TrialLight, edges_mm, shipped
+from bssrdf.bench.trial_light import Cell, TrialLight, batches, edges_mm, photons_for, shipped
 from bssrdf.fit import FitOptions, fit_slices, shipped_table
 from bssrdf.session.records import ChannelFit, ChannelSlice, Slice
 from bssrdf.transport.arrays import NUMPY
@@ -82,6 +84,15 @@ class Drawn(NamedTuple):
 NOTHING = Drawn()
 
 
+class _Tried(NamedTuple):
+    """The trials of one cell."""
+
+    light: TrialLight
+    slices: list[Slice]
+    own: bool
+    """Whether each is of light of its own; `light` is then their mean with the errors of one."""
+
+
 def run_trials(
     *,
     out: Path | None = None,
@@ -91,23 +102,46 @@ def run_trials(
     noise: float = NOISE,
     models: Sequence[ModelName] = MODELS,
     drawn: Drawn = NOTHING,
+    own_steps: float = 0.0,
 ) -> list[Outcome]:
-    """Fit all trials of every cell by every model; with `out` also write trials.json there."""
-    lights = list(shipped().values()) if lights is None else lights
-    slices = [piece for at, light in enumerate(lights) for piece in slices_of(light, trials, noise, SEED + at, drawn)]
+    """Fit all trials of every cell by every model; with `out` also write trials.json there.
+
+    With `own_steps` each trial has light of its own, walked for about so many collisions.
+    """
+    cells = []
+    for at, light in enumerate(list(shipped().values()) if lights is None else lights):
+        if own_steps:
+            if progress is not None:
+                progress(f"light of {light.cell.name}", at, len(lights or shipped()))
+            cells.append(_own(light.cell, trials, noise, own_steps, SEED + at, drawn))
+        else:
+            cells.append(_Tried(light, slices_of(light, trials, noise, SEED + at, drawn), own=False))
+    slices = [piece for each in cells for piece in each.slices]
     outcomes = []
     for number, model in enumerate(models):
         if progress is not None:
             progress(model, number, len(models))
         fits = [fit["G"] for fit in fit_slices(slices, FitOptions(model=model, constraint="soft"))]
         outcomes += [
-            outcome_of(light, model, fits[at * trials : (at + 1) * trials], noise, drawn)
-            for at, light in enumerate(lights)
+            outcome_of(each.light, model, fits[at * trials : (at + 1) * trials], noise, drawn, own=each.own)
+            for at, each in enumerate(cells)
         ]
     if out is not None:
         out.mkdir(parents=True, exist_ok=True)
         (out / "trials.json").write_text(json.dumps([asdict(each) for each in outcomes], indent=1) + "\n")
     return outcomes
+
+
+def _own(cell: Cell, trials: int, noise: float, steps: float, seed: int, drawn: Drawn) -> _Tried:
+    lights = batches(cell, trials, photons_for(cell, steps), seed)
+    typical = replace(
+        lights[0],
+        rd=np.mean([each.rd for each in lights], axis=0),
+        total=float(np.mean([each.total for each in lights])),
+    )
+    seeds = np.random.SeedSequence(seed).generate_state(trials)
+    slices = [slices_of(one, 1, noise, int(each), drawn, typical)[0] for one, each in zip(lights, seeds, strict=False)]
+    return _Tried(typical, slices, own=True)
 
 
 def table(outcomes: Sequence[Outcome]) -> str:
@@ -138,11 +172,12 @@ def summary(outcomes: Sequence[Outcome]) -> list[str]:
         for at, name in enumerate(("σs′", "σa")):
             inside, outside = sum(o.inside[at] for o in group), sum(o.apart_inside[at] for o in group)
             ratio = np.sqrt(np.mean([(o.sd[at] / o.bound_of_noise[at]) ** 2 for o in group if o.judged]))
+            width = np.median([o.width[at] for o in group if o.judged] or [np.nan])
             lo, hi = bootstrapped(group, at)
             lines.append(
                 f"{model}, {name}: rms {100 * np.nanmedian([o.rms[at] for o in group]):.2f} % (median over cells), "
                 f"intervals hold {inside} of {judged} ({100 * inside / max(judged, 1):.1f} %, {lo:.1f} to {hi:.1f} "
-                f"over cells), {outside} of {apart} bounds; width {np.median([o.width[at] for o in group]):.2f} and "
+                f"over cells), {outside} of {apart} bounds; width {width:.2f} and "
                 f"sd {ratio:.2f} × the bound"
             )
         lines.append(f"{model}: {sum(o.refused for o in group)} of {sum(o.trials for o in group)} refused")
@@ -177,18 +212,24 @@ def _auto_at_worst(by_model: dict[str, list[Outcome]]) -> tuple[float, str]:
     return max((sum(auto.rms) / min(sum(mc.rms), sum(dipole.rms)), auto.cell) for auto, mc, dipole in rows)
 
 
-def slices_of(light: TrialLight, trials: int, noise: float, seed: int, shared: Drawn = NOTHING) -> list[Slice]:
-    """The same light with fresh noise each time, and fresh errors of scale and length, which are stated."""
+def slices_of(
+    light: TrialLight, trials: int, noise: float, seed: int, shared: Drawn = NOTHING, typical: TrialLight | None = None
+) -> list[Slice]:
+    """The same light with fresh noise each time, and fresh errors of scale and length, which are stated.
+
+    Errors are relative to the `typical` light, where that is another.
+    """
     rng = np.random.default_rng(seed)
     edges, used = edges_mm(light.cell), light.used
-    r_lo, r_hi, rd = edges[:-1][used], edges[1:][used], light.rd[used]
-    stated, drawn = noise_of(light, noise)
+    typical = light if typical is None else typical
+    r_lo, r_hi, level = edges[:-1][used], edges[1:][used], typical.rd[used]
+    stated, drawn = noise_of(typical, noise)
     pieces = []
     for _ in range(trials):
-        noisy = rd * (1 + drawn.curve * rng.standard_normal(rd.size))
+        noisy = light.rd[used] + drawn.curve * level * rng.standard_normal(level.size)
         scale, length = 1 + np.array(shared) * rng.standard_normal(2)
         lo, hi, per_mm2 = r_lo * length, r_hi * length, scale / length**2
-        channel = ChannelSlice((lo + hi) / 2, per_mm2 * noisy, per_mm2 * stated.curve * rd, lo, hi)
+        channel = ChannelSlice((lo + hi) / 2, per_mm2 * noisy, per_mm2 * stated.curve * level, lo, hi)
         pieces.append(
             Slice(
                 channels={"G": channel},
@@ -196,8 +237,8 @@ def slices_of(light: TrialLight, trials: int, noise: float, seed: int, shared: D
                 g=0.0,
                 flux="entering",
                 exit="hemisphere",
-                total_r={"G": scale * light.total * (1 + drawn.total * rng.standard_normal())},
-                total_r_sd={"G": stated.total * light.total},
+                total_r={"G": scale * (light.total + drawn.total * typical.total * rng.standard_normal())},
+                total_r_sd={"G": stated.total * typical.total},
                 scale_rel_sd=shared.scale,
                 mm_rel_sd=shared.length,
             )
@@ -245,10 +286,17 @@ def cramer_rao(light: TrialLight, noise: Noise, shared: Drawn = NOTHING) -> tupl
 
 
 def outcome_of(
-    light: TrialLight, model: ModelName, fits: Sequence[ChannelFit], noise: float, shared: Drawn = NOTHING
+    light: TrialLight,
+    model: ModelName,
+    fits: Sequence[ChannelFit],
+    noise: float,
+    shared: Drawn = NOTHING,
+    *,
+    own: bool = False,
 ) -> Outcome:
-    """What the trials of a cell come to."""
+    """What the trials of a cell come to; `own`: each has light of its own, so that all noise differs between them."""
     cell, (stated, drawn) = light.cell, noise_of(light, noise)
+    drawn = stated if own else drawn
     truth = (cell.sigma_sp, cell.sigma_a)
     bound = cramer_rao(light, stated, shared)
     relative = np.array([[getattr(fit, f"{key}_per_mm") for key in KEYS] for fit in fits]) / truth - 1
@@ -257,29 +305,33 @@ def outcome_of(
     bounds = np.array([fit.status == "upper_bound" for fit in fits])
     inside = np.array([_holds(fit, cell) for fit in fits])
     ends = np.array([[getattr(fit, f"{key}_interval95_per_mm") for key in KEYS] for fit in fits])[plain]
-    with np.errstate(divide="ignore", invalid="ignore"):
+    with np.errstate(divide="ignore", invalid="ignore"), warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # where all fits are refused, nothing is left to average
         width = (
             np.median(np.log(ends[:, :, 1] / ends[:, :, 0]), axis=0) / (2 * 1.96) / bound if len(ends) else np.ones(2)
         )
+        found = {
+            "median_error": np.nanmedian(np.abs(relative), axis=0),
+            "bias": np.nanmedian(relative, axis=0),
+            "model_error": np.nanmedian(model_error, axis=0),
+            "sd": np.nanstd(relative, axis=0, ddof=1),
+            "width": width,
+            "rms": np.sqrt(np.nanmean(relative**2, axis=0)),
+        }
     return Outcome(
         cell=cell.name,
         model=model,
         trials=len(fits),
         light_noise=light.noise,
-        median_error=_pair(np.nanmedian(np.abs(relative), axis=0)),
-        bias=_pair(np.nanmedian(relative, axis=0)),
-        model_error=_pair(np.nanmedian(model_error, axis=0)),
         bound=bound,
-        sd=_pair(np.nanstd(relative, axis=0, ddof=1)),
         bound_of_noise=cramer_rao(light, drawn, shared),
         inside=_counts(inside[plain]),
         judged=int(plain.sum()),
         apart_inside=_counts(inside[bounds]),
         refused=int((~plain & ~bounds).sum()),
-        width=_pair(width),
-        rms=_pair(np.sqrt(np.nanmean(relative**2, axis=0))),
         flags=dict(Counter(flag for fit in fits for flag in fit.flags)),
         models=dict(Counter(fit.model for fit in fits)),
+        **{name: _pair(each) for name, each in found.items()},
     )
 
 

@@ -63,6 +63,13 @@ def fit(out: Path | None, force: bool, history: Path | None) -> None:
 @click.option("--scale-sd", type=float, default=0.0, help="Relative error of the scale, drawn for each trial.")
 @click.option("--length-sd", type=float, default=0.0, help="Relative error of lengths, drawn for each trial.")
 @click.option(
+    "--own-light",
+    type=click.FloatRange(0),
+    default=0.0,
+    metavar="MILLIONS",
+    help="Walk light afresh for each trial, some million collisions.",
+)
+@click.option(
     "--model", "models", multiple=True, type=click.Choice(["mc", "dipole", "auto"]), help="Default: all three."
 )
 def trials(
@@ -71,6 +78,7 @@ def trials(
     trials: int,
     scale_sd: float,
     length_sd: float,
+    own_light: float,
     models: tuple[Literal["mc", "dipole", "auto"], ...],
 ) -> None:
     """Do errors, bounds and intervals hold on the engine's own light?
@@ -87,6 +95,7 @@ def trials(
             trials=trials,
             models=models or MODELS,
             drawn=Drawn(scale_sd, length_sd),
+            own_steps=1e6 * own_light,
         )
     click.echo(table(outcomes))
 

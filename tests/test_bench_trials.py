@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from bssrdf.bench.trial_light import TrialLight, cells, edges_mm, more, shipped
-from bssrdf.bench.trials import KEYS, Drawn, Outcome, cramer_rao, noise_of, outcome_of, slices_of
+from bssrdf.bench.trials import KEYS, Drawn, Outcome, cramer_rao, noise_of, outcome_of, run_trials, slices_of, table
 from bssrdf.fit.run import FitOptions, fit_slices
 from bssrdf.session.records import ChannelFit, ChannelSlice, Slice
 
@@ -119,3 +120,16 @@ def test_light_walked_on_is_the_mean_of_its_walks() -> None:
     np.testing.assert_allclose(both.rd, 0.25 * first.rd + 0.75 * second.rd, rtol=1e-12)
     assert both.photons == first.photons + second.photons
     assert both.rd.size == edges_mm(cell).size - 1
+
+
+def test_trials_on_light_of_their_own_hold_and_say_where_no_light_came() -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        told, dark = run_trials(
+            lights=[shipped()["Chicken1 R"], shipped()["Ketchup B"]], trials=40, models=["mc"], own_steps=1e5
+        )
+    assert told.judged == 40
+    assert min(told.inside) >= 34
+    assert told.bound == told.bound_of_noise
+    assert (dark.judged, dark.refused) == (0, 40)
+    assert "Ketchup B" in table([told, dark])
