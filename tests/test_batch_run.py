@@ -14,7 +14,6 @@ from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pytest
 from filmed import edit, film, marble
 from many_curves import files_of, plain, rich
@@ -351,11 +350,8 @@ def test_sessions_are_measured_where_they_lie_and_stay_untouched(tmp_path: Path)
         assert bssrdf("batch", what, "--stages", stages, "--out", tmp_path / out) == 0
     assert content(tmp_path / "sessions") == before
     assert bssrdf("measure", session) == 0
-    curve = read_slice(session / "measured" / "slice.csv")
-    for out in (tmp_path / "here", tmp_path / "fetched", tmp_path / "ingested"):
-        found = read_slice(out / "marble" / "measured" / "slice.csv")
-        assert found.total_r == pytest.approx(curve.total_r, rel=1e-6)  # 1e-8 apart was seen
-        for name, part in curve.channels.items():
-            np.testing.assert_allclose(found.channels[name].rd_per_mm2, part.rd_per_mm2, rtol=1e-4)
+    by_hand = (session / "measured" / "slice.csv").read_bytes()
+    for out in ("here", "fetched", "ingested"):
+        assert (tmp_path / out / "marble" / "measured" / "slice.csv").read_bytes() == by_hand
     assert (tmp_path / "here" / "marble" / "report.html").is_file()
     assert json.loads((tmp_path / "here" / "marble" / "fit.json").read_text())["channels"]
