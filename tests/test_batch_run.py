@@ -267,25 +267,27 @@ def test_a_worker_over_its_memory_is_named_and_its_input_done_next_time(
     assert tables(out) == table
 
 
+@pytest.mark.parametrize("what", ["slices", "parquet"])
 def test_a_full_disk_ends_the_batch_and_keeps_what_is_finished(
-    slices: Path, table: bytes, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    request: pytest.FixtureRequest, what: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    disk = tmp_path / "disk"
+    disk, source = tmp_path / "disk", request.getfixturevalue(what)
     disk.mkdir()
     if subprocess.run(["mount", "-t", "tmpfs", "-o", "size=96k", "tmpfs", disk], capture_output=True).returncode:
         pytest.skip("a small tmpfs cannot be mounted here")
-    command = ("batch", slices, "--stages", "fit", "--out", disk / "out", "--chunk", 1)
+    command = ("batch", source, "--stages", "fit", "--chunk", 1, "--out")
     try:
-        assert bssrdf(*command) == 3
+        assert bssrdf(*command, disk / "out") == 3
         lines = capsys.readouterr().err.splitlines()
         assert len(lines) == 1
         assert "No space left on device" in lines[0]
         kept = chunks(disk / "out")
         assert kept
         subprocess.run(["mount", "-o", "remount,size=8m", disk], check=True)
-        assert bssrdf(*command) == 3
+        assert bssrdf(*command, disk / "out") == 3
         assert kept.items() <= chunks(disk / "out").items()
-        assert tables(disk / "out") == table
+        assert bssrdf(*command, tmp_path / "roomy") == 3
+        assert tables(disk / "out") == tables(tmp_path / "roomy")
     finally:
         subprocess.run(["umount", "-l", disk], check=True)
 
