@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from bssrdf.fit.compiled import settled
 from bssrdf.fit.errors import SCATTERED, Judged, judge
-from bssrdf.fit.jobs import BATCH, Job, Options, problem_of
+from bssrdf.fit.jobs import Job, Options, problem_of
 from bssrdf.fit.models import beside_of
 from bssrdf.fit.problem import Neighbours, Plan, Point, Problem
 from bssrdf.fit.solve import NEAR, REST, Solution, optimise, settle, start, starts_of
@@ -56,17 +56,17 @@ def fit_group(
     options: Options,
     model: Light,
     *,
-    compile_it: bool = False,
+    compiled_for: int | None = None,
     begin: Point | None = None,
 ) -> Fitted:
-    """Fit jobs of one key, at most BATCH, by one model; with `compile_it` by JAX, which pays for many batches.
+    """Fit jobs of one cohort by one model; by JAX `compiled_for` so many rows, which pays for many cohorts.
 
     `begin` stands in for all starts, where a medium next to this was fitted and only the cost of this one is wanted.
     """
     aside = beside_of(model, jobs[0].pieces[0])
     plan, data = problem_of(jobs, options, model, aside)
     if begin is None:
-        found, rival = _best(plan, model, data, aside, compile_it=compile_it)
+        found, rival = _best(plan, model, data, aside, compiled_for)
     else:
         found = settle(NUMPY, plan, model, data, begin, aside, rest=NEAR)
         rival = Point(*(np.full_like(each, np.nan) for each in begin))
@@ -74,14 +74,16 @@ def fit_group(
     return Fitted(jobs, options, plan, model, aside, data, found, judged, rival)
 
 
-def _best(plan: Plan, model: Light, data: Problem, aside: Neighbours, *, compile_it: bool) -> tuple[Solution, Point]:
+def _best(
+    plan: Plan, model: Light, data: Problem, aside: Neighbours, compiled_for: int | None
+) -> tuple[Solution, Point]:
     """The lowest of the optima reached from several starts, and one as good at another place."""
     every, more = starts_of(plan)
     b = data.curves[0].r_lo.shape[0]
     rival = np.full((b, 3), np.nan)
     rows = np.arange(b)
-    if compile_it and len(every) == 1:
-        found, others = settled(plan, model, data, aside, BATCH), []
+    if compiled_for and len(every) == 1:
+        found, others = settled(plan, model, data, aside, compiled_for), []
     else:
         begun = [start(NUMPY, plan, model, data, number) for number in every]
         misfits = np.stack([np.where(np.isfinite(misfit), misfit, np.inf) for _, misfit in begun])

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from bssrdf.errors import InputError
 from bssrdf.fit.compiled import FROM
 from bssrdf.fit.holding import Held, held, samples_of
-from bssrdf.fit.layout import Curves, Sight, camera_factor, curves_of, nodes_of, sight_of, total_of
+from bssrdf.fit.layout import Curves, Sight, camera_factor, curves_of, nodes_of, points_of, sight_of, total_of
 from bssrdf.fit.problem import (
     EXIT_MODES,
     OF_MEDIUM,
@@ -29,8 +29,9 @@ from bssrdf.session.records import Slice
 from bssrdf.transport import Policy
 from bssrdf.transport.light import Light
 
-BATCH = 256
-"""Rows that go through together: more would not fit the caches."""
+POINTS = 130_000
+"""Radii that a batch looks at together: more would not fit the caches, with fewer each call of NumPy costs too much."""
+MOST_ROWS = 1024
 _BY_TILE: tuple[Source, ...] = ("scale", "length", "view")
 _WHOLE_CIRCLE = 1.5
 """Radians of arc from which on a slice is a mean over all azimuths."""
@@ -60,13 +61,34 @@ class _Totals(NamedTuple):
     places: tuple[int, ...]
 
 
-def groups_of(jobs: Sequence[Job], options: Options) -> list[tuple[list[int], bool]]:
-    """Places of the jobs that can share a batch, and whether there are so many of their kind that compiling pays."""
+class Cohort(NamedTuple):
+    """Jobs that can share a batch, by their places."""
+
+    places: list[int]
+    compiled_for: int | None
+    """Rows, where there are so many of the kind that compiling pays."""
+
+
+def groups_of(jobs: Sequence[Job], options: Options) -> list[Cohort]:
+    """All jobs, each in one cohort."""
     groups: dict[Any, list[int]] = {}
     for at, job in enumerate(jobs):
         groups.setdefault(_key(job, options), []).append(at)
     alike = [same for places in groups.values() for same in _of_equal_nodes(jobs, places, options)]
-    return [(places[k : k + BATCH], len(places) >= FROM) for places in alike for k in range(0, len(places), BATCH)]
+    found = []
+    for places in alike:
+        rows = _rows_of(jobs[places[0]], options)
+        compiled_for = rows if len(places) >= FROM else None
+        found += [Cohort(places[k : k + rows], compiled_for) for k in range(0, len(places), rows)]
+    return found
+
+
+def _rows_of(job: Job, options: Options) -> int:
+    """How many jobs like this one go through together."""
+    curves = [curves_of([piece], [job.channel], options.window_mm) for piece in job.pieces]
+    sights = [sight_of(piece, c) for piece, c in zip(job.pieces, curves, strict=True)]
+    points = sum(points_of(sight, c.r_lo.shape[1]) for sight, c in zip(sights, curves, strict=True))
+    return min(max(POINTS // points, 1), MOST_ROWS)
 
 
 def _of_equal_nodes(jobs: Sequence[Job], places: list[int], options: Options) -> list[list[int]]:
@@ -76,8 +98,8 @@ def _of_equal_nodes(jobs: Sequence[Job], places: list[int], options: Options) ->
     if all(part.r_lo_mm is None for part in parts) and all(piece.spot_radius_mm is None for piece in first.pieces):
         return [places]
     groups: dict[Any, list[int]] = {}
-    for k in range(0, len(places), BATCH):
-        some = places[k : k + BATCH]
+    for k in range(0, len(places), MOST_ROWS):
+        some = places[k : k + MOST_ROWS]
         names = [jobs[at].channel for at in some]
         by_slice = zip(*(jobs[at].pieces for at in some), strict=True)
         nodes = [nodes_of(curves_of(pieces, names, options.window_mm)) for pieces in by_slice]

@@ -52,6 +52,12 @@ class Sight(NamedTuple):
     """What back and walls the sample has."""
 
 
+def points_of(sight: Sight, radii: int) -> int:
+    """At how many a model is looked at together, for the curve or for its blur."""
+    blur = 48 * sight.blur_inner + 12 * (radii - sight.blur_inner) if sight.blurred else 0
+    return max(blur, 12 * sight.inner + 3 * (radii - sight.inner) if sight.binned else radii)
+
+
 class Curves(NamedTuple):
     """The data of one slice in each problem of a batch."""
 
@@ -213,14 +219,14 @@ def _spot_is_seen(c: Curves) -> NDArray[np.bool_]:
     if not c.spot_radius.any():
         return np.zeros(c.spot_radius.shape[0], bool)
     relative = np.where(
-        c.errors_known[:, 0], _median(1 / np.maximum(np.abs(c.rd * c.known), 1e-300), c.known != 0), 0.01
+        c.errors_known[:, 0], median_of(1 / np.maximum(np.abs(c.rd * c.known), 1e-300), c.known != 0), 0.01
     )
     innermost = np.maximum((c.r_lo + c.r_hi).min(axis=1) / 2, RADII_FROM_SPOT * c.spot_radius[:, 0])
     wide = np.where(c.spot_radius[:, 0] > 0, 9 / 8 * (c.spot_radius[:, 0] / innermost) ** 2, 0.0)
     return np.asarray(wide > SPOT_MATTERS * relative)
 
 
-def _median(values: Floats, counts: Bools) -> Floats:
+def median_of(values: Floats, counts: Bools) -> Floats:
     """Of the values of each row that count, (b,); np.nanmedian would load NumPy's masked arrays first."""
     b = values.shape[0]
     ordered = np.sort(np.where(counts, values, np.inf).reshape(b, -1), axis=1)

@@ -18,12 +18,14 @@ from bssrdf.fit.layout import Total
 from bssrdf.fit.models import Truth
 from bssrdf.fit.observe import NEAREST_MFP, seen_at, total_seen
 from bssrdf.fit.problem import Laid, Neighbours, Plan, Point, Problem, Weights
-from bssrdf.fit.solve import REST, Solution, optimise, settle
+from bssrdf.fit.solve import Solution, optimise, settle
 from bssrdf.transport import R_ZERO, V_MAX
 from bssrdf.transport.arrays import NUMPY
 from bssrdf.transport.light import Light, WhiteTable, coefficients, dipole, shape_of
 
 Floats = NDArray[np.float64]
+NEAR_BY = 1e-5
+"""In the parameters: what another model would find is asked for to less than 0.1 %."""
 LEAST_RATIO = 0.2
 """Of a fitted coefficient to the true one, in undoing a bias."""
 E = NUMPY
@@ -120,7 +122,7 @@ def bias(plan: Plan, truth: Truth, data: Problem, found: Solution) -> Bias:
 def _bias_at(plan: Plan, truth: Truth, data: Problem, found: Solution, at: Point) -> tuple[Floats, Judged]:
     at = at._replace(q=np.clip(at.q, 1e-6, truth.table.q_max))
     light = _light_of(plan, truth.table, data, at)
-    refit = refitted(plan, truth.dipole, light.data, found, Weights(found.weights.mass, light.means), begin=at)
+    refit = refitted(plan, truth.dipole, light.data, found, Weights(found.weights.mass, light.means))
     fitted, true = (np.concatenate(coefficients(p.log_sigma, p.q), axis=1) for p in (refit.point, at))
     with np.errstate(divide="ignore", invalid="ignore"):
         relative = fitted / true - 1
@@ -160,12 +162,9 @@ def _light_of(plan: Plan, truth: Light, data: Problem, at: Point) -> _Light:
     return _Light(data._replace(totals=totals), tuple(value for value, _, _ in looked.curves))
 
 
-def refitted(
-    plan: Plan, model: Light, data: Problem, found: Solution, weights: Weights, *, begin: Point | None = None
-) -> Solution:
+def refitted(plan: Plan, model: Light, data: Problem, found: Solution, weights: Weights) -> Solution:
     """Fit again near by, with these weights and data; spot and angle as they were."""
-    begin = found.point if begin is None else begin
-    return optimise(E, plan, model, data, found.laid, begin, 10 * REST, relay=False, weights=weights)
+    return optimise(E, plan, model, data, found.laid, found.point, NEAR_BY, relay=False, weights=weights)
 
 
 def _unbiased(point: Point, biased: Floats) -> Point:

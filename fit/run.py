@@ -117,13 +117,13 @@ def _fit_jobs(jobs: Sequence[Job], options: FitOptions, making: Making) -> list[
 
 def batches(jobs: Sequence[Job], options: FitOptions, making: Making) -> Iterator[tuple[list[int], Fitted]]:
     """Batches with the places of their jobs, by the model asked for; with auto the dipole where it will do."""
-    for places, many in groups_of(jobs, options.of_problem):
+    for places, rows in groups_of(jobs, options.of_problem):
         members, piece = [jobs[at] for at in places], jobs[places[0]].pieces[0]
         auto, name = options.model == "auto", options.model
         if name == "auto":
             name = "mc" if has_table(piece, options.tables) else "dipole"
         model = named(name, piece, options.tables, making)
-        fitted = fit_group(members, options.of_problem, model, compile_it=many)
+        fitted = fit_group(members, options.of_problem, model, compiled_for=rows)
         simple = np.flatnonzero(_dipole_will_do(fitted)) if auto and not model.biased else np.array([])
         if not simple.size:
             yield places, fitted
@@ -132,7 +132,7 @@ def batches(jobs: Sequence[Job], options: FitOptions, making: Making) -> Iterato
         if rest.size:
             yield [places[row] for row in rest], _subset(fitted, rest)
         others = [members[row] for row in simple]
-        again = fit_group(others, options.of_problem, dipole(piece.eta), compile_it=many)
+        again = fit_group(others, options.of_problem, dipole(piece.eta), compiled_for=rows)
         yield [places[row] for row in simple], again
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from bssrdf.fit.batch import Fitted
 from bssrdf.fit.intervals import Profile
-from bssrdf.fit.layout import camera_factor
+from bssrdf.fit.jobs import Job
+from bssrdf.fit.layout import camera_factor, median_of
 from bssrdf.fit.models import OBLIQUE_DEG, is_clamped
 from bssrdf.fit.neighbours import Bias, to_log
 from bssrdf.fit.sample_verdict import InSample, in_sample, thin_rows
@@ -50,6 +51,7 @@ MOST_LIGHT = 2.0
 MAX_LOST = 0.05
 """Share of the light that fell outside the frame, beyond which its estimate decides R."""
 REJECTING = (Flag.TOTAL_INCONSISTENT, Flag.SHAPE_MISFIT, Flag.G_SUSPECT, Flag.ETA_SUSPECT)
+_COEFFICIENTS = ("sigma_a", "sigma_sp")
 NAMES = {"exit": "exit_law"}
 """Sources by the name that the budget has for them, where it differs."""
 STATED = ("noise", "total", "scale", "length", "spot", "view", "g", "eta")
@@ -127,9 +129,10 @@ def channel_fits(fitted: Fitted, extra: Extra) -> list[ChannelFit]:
     for row in np.flatnonzero(np.isfinite(np.concatenate(fitted.rival, axis=1)).all(axis=1)):
         if Flag.FEW_RADII not in flags[row]:
             _join_rival(fitted, answer, flags, int(row))
+    rows = _rows(fitted, extra, answer, shares, used)
     return [
-        _channel_fit(fitted, extra, row, answer, shares, used, sample, tuple(names))
-        for row, (sample, names) in enumerate(zip(samples, flags, strict=True))
+        _channel_fit(fitted, job, row, tuple(extra.sensitivity), tuple(shares), sample, tuple(names))
+        for job, row, sample, names in zip(fitted.jobs, rows, samples, flags, strict=True)
     ]
 
 
@@ -181,57 +184,94 @@ def _in_sample(fitted: Fitted, extra: Extra, answer: _Answer, shares: Mapping[st
     return in_sample(fitted, row, {name: float(each[row, 0]) for name, each in shares.items()}, rel_sd, off)
 
 
+class _Row(NamedTuple):
+    """What there is to tell of one row, in plain numbers."""
+
+    sigma_a: float
+    sd_a: float
+    interval_a: Sequence[float]
+    sigma_sp: float
+    sd_sp: float
+    interval_sp: Sequence[float]
+    correlation: float
+    total_r: float
+    half_space: float
+    window: Sequence[float]
+    n: int
+    chi2: float
+    known: bool
+    """Whether the curve came with errors."""
+    model_error: Sequence[float]
+    sensitivity: Sequence[float]
+    shares: Sequence[Sequence[float]]
+    """By source those of σa and σs′."""
+
+
+def _rows(fitted: Fitted, extra: Extra, answer: _Answer, shares: Mapping[str, Floats], used: _Used) -> Iterator[_Row]:
+    judged, known = fitted.judged, fitted.judged.errors_known
+    none = np.zeros((len(fitted.jobs), 0))
+    columns = (
+        *answer,
+        judged.seen.totals[0][0][:, 0],
+        judged.seen.half[:, 0],
+        used.window,
+        used.n,
+        np.where(known, judged.chi2, NAN),
+        known,
+        none if extra.model_error is None else extra.model_error,
+        np.stack([none[:, :0].sum(1), *extra.sensitivity.values()], axis=1)[:, 1:],
+        np.stack(list(shares.values()), axis=1),
+    )
+    return map(_Row._make, zip(*(each.tolist() for each in columns), strict=True))
+
+
 def _channel_fit(
     fitted: Fitted,
-    extra: Extra,
-    row: int,
-    answer: _Answer,
-    shares: Mapping[str, Floats],
-    used: _Used,
+    job: Job,
+    row: _Row,
+    slopes: Sequence[str],
+    sources: Sequence[str],
     sample: InSample,
     flags: tuple[str, ...],
 ) -> ChannelFit:
-    job, status, judged = fitted.jobs[row], _status(flags), fitted.judged
+    status = _status(flags)
     told = status not in ("rejected", "unidentifiable", "failed")  # no number of the others can be trusted
     told_a = told and Flag.SIGMA_A_UNIDENTIFIABLE not in flags
     unbounded = not told or sample.flags.get(Flag.SIGMA_A_UNIDENTIFIABLE, False)
-    sigma_a, sd_a, interval_a, sigma_sp, sd_sp, interval_sp, correlation = (each[row].tolist() for each in answer)
     return ChannelFit(
         model=fitted.model.name,
-        sigma_a_per_mm=sigma_a if told_a else NAN,
-        sigma_a_sd_per_mm=sd_a if told_a else NAN,
-        sigma_a_interval95_per_mm=(NAN, NAN) if unbounded else tuple(interval_a),
-        sigma_sp_per_mm=sigma_sp if told else NAN,
-        sigma_sp_sd_per_mm=sd_sp if told else NAN,
-        sigma_sp_interval95_per_mm=tuple(interval_sp) if told else (NAN, NAN),
-        correlation=correlation if told else NAN,
+        sigma_a_per_mm=row.sigma_a if told_a else NAN,
+        sigma_a_sd_per_mm=row.sd_a if told_a else NAN,
+        sigma_a_interval95_per_mm=(NAN, NAN) if unbounded else _pair(row.interval_a),
+        sigma_sp_per_mm=row.sigma_sp if told else NAN,
+        sigma_sp_sd_per_mm=row.sd_sp if told else NAN,
+        sigma_sp_interval95_per_mm=_pair(row.interval_sp) if told else (NAN, NAN),
+        correlation=row.correlation if told else NAN,
         total_r_measured=_mean([p.total_r.get(job.channel, NAN) for p in job.pieces]),
-        total_r_model=float(judged.seen.totals[0][0][row, 0]) if told else NAN,
-        total_r_half_space=float(judged.seen.half[row, 0]) if told else NAN,
+        total_r_model=row.total_r if told else NAN,
+        total_r_half_space=row.half_space if told else NAN,
         tau_p=sample.tau_p,
         sample_effect=(sample.log_total, sample.least_ratio),
-        window_mm=tuple(used.window[row].tolist()),
-        n=int(used.n[row]),
-        chi2_reduced=float(judged.chi2[row]) if judged.errors_known[row] else NAN,
+        window_mm=_pair(row.window),
+        n=row.n,
+        chi2_reduced=row.chi2,
         status=status,
         flags=flags,
-        model_error=_by_name(extra.model_error[row]) if told and extra.model_error is not None else {},
-        sensitivity={name: float(each[row]) for name, each in extra.sensitivity.items()} if told else {},
-        budget=_budget(shares, row) if status == "converged" and told_a else {},
-        not_stated=_not_stated(fitted, row),
+        model_error=dict(zip(_COEFFICIENTS, row.model_error, strict=False)) if told else {},
+        sensitivity=dict(zip(slopes, row.sensitivity, strict=True)) if told else {},
+        budget=_budget(sources, row.shares) if status == "converged" and told_a else {},
+        not_stated=_not_stated(fitted, job, row.known),
     )
 
 
-def _by_name(of_both: Floats) -> dict[str, float]:
-    return dict(zip(("sigma_a", "sigma_sp"), of_both.tolist(), strict=True))
+def _pair(ends: Sequence[float]) -> tuple[float, float]:
+    lo, hi = ends
+    return lo, hi
 
 
-def _budget(shares: Mapping[str, Floats], row: int) -> dict[str, dict[str, float]]:
-    each_of = [_by_name(share[row]) for share in shares.values()]
-    return {
-        key: {name: each[key] for name, each in zip(shares, each_of, strict=True) if each[key] > 0}
-        for key in ("sigma_a", "sigma_sp")
-    }
+def _budget(sources: Sequence[str], shares: Sequence[Sequence[float]]) -> dict[str, dict[str, float]]:
+    by_coefficient = zip(_COEFFICIENTS, zip(*shares, strict=True), strict=True)
+    return {key: {s: share for s, share in zip(sources, of, strict=True) if share > 0} for key, of in by_coefficient}
 
 
 def _join_rival(fitted: Fitted, answer: _Answer, flags: list[list[str]], row: int) -> None:
@@ -323,19 +363,32 @@ def _held(fitted: Fitted, extra: Extra, answer: _Answer, used: _Used) -> dict[st
 def _outliers(fitted: Fitted) -> Bools:
     """Rows where a few radii lie far from their neighbours, which all follow one another."""
     found = np.zeros(len(fitted.jobs), bool)
-    for row in np.flatnonzero(fitted.judged.chi2 > POOR_CHI2):
-        off = [np.zeros(1)]
-        for mass, mean, (value, _, _) in zip(*fitted.found.weights, fitted.judged.seen.curves, strict=True):
-            misses = ((mean[row] - value[row]) * np.sqrt(mass[row] * fitted.found.ease[row]))[mass[row] > 0]
-            if misses.size > NEIGHBOURS:
-                about = np.lib.stride_tricks.sliding_window_view(
-                    np.pad(misses, NEIGHBOURS // 2, mode="reflect"), NEIGHBOURS
-                )
-                off.append(np.abs(misses - np.median(about, axis=1)))
-        away = np.concatenate(off[1:] or off)
-        found[row] = (away > OUTLIER).any() and (away > OUTLIER).mean() < FEW_OUTLIERS
-        found[row] &= np.median(away) < OUTLIER / 3
+    rows = np.flatnonzero(fitted.judged.chi2 > POOR_CHI2)
+    if not rows.size:
+        return found
+    ease = fitted.found.ease[rows, None]
+    away = np.concatenate(
+        [
+            _from_neighbours((mean[rows] - value[rows]) * np.sqrt(mass[rows] * ease), mass[rows] > 0)
+            for mass, mean, (value, _, _) in zip(*fitted.found.weights, fitted.judged.seen.curves, strict=True)
+        ],
+        axis=1,
+    )
+    counts = ~np.isnan(away)
+    few = (away > OUTLIER).sum(axis=1) < FEW_OUTLIERS * counts.sum(axis=1)
+    found[rows] = (away > OUTLIER).any(axis=1) & few & (median_of(away, counts) < OUTLIER / 3)
     return found
+
+
+def _from_neighbours(misses: Floats, counts: Bools) -> Floats:
+    """How far each miss [sd] lies from the median of those around it, in order of radius; NaN where none is."""
+    n = counts.sum(axis=1, keepdims=True)
+    ordered = np.take_along_axis(misses, np.argsort(~counts, axis=1, kind="stable"), axis=1)
+    at = np.abs(np.arange(-(NEIGHBOURS // 2), misses.shape[1] + NEIGHBOURS // 2))
+    at = np.clip(np.where(at < n, at, 2 * (n - 1) - at), 0, None)  # reflected at either end
+    around = np.lib.stride_tricks.sliding_window_view(np.take_along_axis(ordered, at, axis=1), NEIGHBOURS, axis=1)
+    away = np.abs(ordered - np.sort(around, axis=2)[..., NEIGHBOURS // 2])
+    return np.where((n > NEIGHBOURS) & (np.arange(misses.shape[1]) < n), away, NAN)
 
 
 def _within_reason(fitted: Fitted, totals: Floats) -> Bools:
@@ -349,11 +402,10 @@ def _within_reason(fitted: Fitted, totals: Floats) -> Bools:
     return good
 
 
-def _not_stated(fitted: Fitted, row: int) -> tuple[str, ...]:
+def _not_stated(fitted: Fitted, job: Job, known: bool) -> tuple[str, ...]:
     """Errors that count as 0 because no slice states them."""
-    job = fitted.jobs[row]
     missing = {name for piece in job.pieces for name in _silent(fitted, piece, job.channel)}
-    if not fitted.judged.errors_known[row]:
+    if not known:
         missing.add("noise")
     return tuple(name for name in STATED if name in missing)
 

@@ -16,7 +16,7 @@ from bssrdf.bench.trial_light import shipped
 from bssrdf.bench.trials import Drawn, slices_of
 from bssrdf.fit.batch import Fitted, fit_group
 from bssrdf.fit.compiled import settled
-from bssrdf.fit.jobs import BATCH, Job, Options
+from bssrdf.fit.jobs import Job, Options
 from bssrdf.fit.models import Making, named
 from bssrdf.fit.neighbours import refitted, table_error
 from bssrdf.fit.problem import Point, Weights
@@ -49,7 +49,7 @@ def fitted(pieces: Sequence[Slice], name: Literal["mc", "dipole"] = "mc", option
 
 def test_jax_and_numpy_run_the_same_fit() -> None:
     ours = fitted([trial(seed=seed) for seed in range(3)])
-    theirs = settled(ours.plan, ours.model, ours.data, ours.beside, BATCH)
+    theirs = settled(ours.plan, ours.model, ours.data, ours.beside, 256)
     for a, b in zip(ours.found.point, theirs.point, strict=True):
         np.testing.assert_allclose(a, b, atol=1e-9)
     np.testing.assert_allclose(ours.found.cost, theirs.cost, rtol=1e-9)
