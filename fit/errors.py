@@ -22,6 +22,8 @@ from bssrdf.transport.light import Light
 FIFTH, STARTS = 5, 17
 """A misfit that runs through this share of the window is one of shape; the share is laid at so many places."""
 
+SIGNIFICANT = 4.0
+"""Of its own sd: a running mean below this is scatter."""
 SCATTERED = 2.0
 """Standard deviations by which runs of residuals may fall short and still be scatter: 98 % of it is below."""
 
@@ -48,7 +50,7 @@ class Judged(NamedTuple):
     runs_z: Any
     """(b,): sd by which runs of one sign fall short of chance."""
     drift: Any
-    """(b,): largest running mean of the relative residual over a fifth of the window; 0 where below 4 of its sd."""
+    """(b,): largest running mean of the relative residual over a fifth of the window, of those that are significant."""
     answer: tuple[Any, ...]
     """By slice (b, 2, u): (s, q) to a relative change of the data."""
     total_answer: Any
@@ -57,8 +59,11 @@ class Judged(NamedTuple):
     """By slice (b, u): whether a radius counts."""
 
 
-def judge(e: Engine, plan: Plan, model: Light, data: Problem, found: Solution) -> Judged:
-    """Linear error propagation about the optimum, and tests of the residuals."""
+def judge(
+    e: Engine, plan: Plan, model: Light, data: Problem, found: Solution, *, significant: float = SIGNIFICANT
+) -> Judged:
+    """Linear error propagation about the optimum, and tests of the residuals; on light without noise every drift is
+    `significant`."""
     xp = e.xp
     at, laid, by = found.point, found.laid, found.weights
     seen = look(e, plan, model, data, laid, at)
@@ -102,7 +107,7 @@ def judge(e: Engine, plan: Plan, model: Light, data: Problem, found: Solution) -
         seen=seen,
         pull=pull / xp.sqrt(grown / found.ease),
         runs_z=runs_z,
-        drift=_drift(e, laid, looks, by, found.shared, grown / found.ease),
+        drift=_drift(e, laid, looks, by, found.shared, grown / found.ease, significant),
         answer=tuple(
             xp.matmul(answer[:, :2], x) * (mass * each[0])[:, None, :]
             for x, mass, each in zip(rows, by.mass, looks, strict=True)
@@ -219,9 +224,9 @@ def _runs(e: Engine, data: Problem, laid: Any, looks: Any, w2: Any, shared: Any)
     return worst
 
 
-def _drift(e: Engine, laid: Any, looks: Any, by: Any, shared: Any, grown: Any) -> Any:
-    """The mean over a fifth of the radii that is largest against the curve, of those beyond 4 of their sd, enlarged by
-    the misfit where the weights are not."""
+def _drift(e: Engine, laid: Any, looks: Any, by: Any, shared: Any, grown: Any, significant: float) -> Any:
+    """The mean over a fifth of the radii that is largest against the curve, of those beyond `significant` of their sd,
+    enlarged by the misfit where the weights are not."""
     xp = e.xp
     largest = xp.zeros(looks[0][0].shape[0])
     for k, each in enumerate(looks):
@@ -241,5 +246,5 @@ def _drift(e: Engine, laid: Any, looks: Any, by: Any, shared: Any, grown: Any) -
         mass, sums = (xp.take_along_axis(s, ends[0], axis=1) - xp.take_along_axis(s, ends[1], axis=1) for s in beyond)
         mass = xp.maximum(mass, 1e-300)
         mean = xp.abs(sums) / mass
-        largest = xp.maximum(largest, xp.where(mean * xp.sqrt(mass / grown[:, None]) > 4, mean, 0.0).max(1))
+        largest = xp.maximum(largest, xp.where(mean * xp.sqrt(mass / grown[:, None]) > significant, mean, 0.0).max(1))
     return largest

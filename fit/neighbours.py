@@ -126,7 +126,9 @@ def _bias_at(plan: Plan, truth: Truth, data: Problem, found: Solution, at: Point
     fitted, true = (np.concatenate(coefficients(p.log_sigma, p.q), axis=1) for p in (refit.point, at))
     with np.errstate(divide="ignore", invalid="ignore"):
         relative = fitted / true - 1
-    return np.where(np.isfinite(relative), relative, np.nan), judge(E, plan, truth.dipole, light.data, refit)
+    return np.where(np.isfinite(relative), relative, np.nan), judge(
+        E, plan, truth.dipole, light.data, refit, significant=0.0
+    )
 
 
 def dipole_on_light(plan: Plan, truth: Light, data: Problem, at: Point) -> Floats:

@@ -348,7 +348,7 @@ def _held(fitted: Fitted, extra: Extra, answer: _Answer, used: _Used) -> dict[st
         Flag.SCALE_SUSPECT: (not plan.scale_free) & ~_within_reason(fitted, totals),
         Flag.SD_FILLED: np.any([c.filled[:, 0] for c in fitted.data.curves], axis=0),
         Flag.SD_UNKNOWN: ~known,
-        Flag.SHAPE_MISFIT: known & ~thin_rows(fitted) & (judged.drift > MOST_DRIFT + drift),
+        Flag.SHAPE_MISFIT: known & ~thin_rows(fitted) & (judged.drift > np.hypot(MOST_DRIFT, drift)),
         Flag.SIGMA_A_UNIDENTIFIABLE: ~np.isfinite(answer.interval_a[:, 1]),
         Flag.SINGLE_SCATTERING: biased & (q > np.sqrt(1.5)),
         Flag.SPOT_WIDE: spots * sigma_tp > 1,

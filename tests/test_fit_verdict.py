@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 from builders import changed, slice_of, with_rd
 
-from bssrdf.bench.trial_light import shipped
+from bssrdf.bench.trial_light import TrialLight, edges_mm, shipped
 from bssrdf.bench.trials import Drawn, slices_of
 from bssrdf.fit.models import shipped_table
 from bssrdf.fit.run import FitOptions, fit_slices
 from bssrdf.report.table import fits_table
 from bssrdf.report.text import fit_text
-from bssrdf.session.records import ChannelFit, Fit, Slice
+from bssrdf.session.records import ChannelFit, ChannelSlice, Fit, Slice
 from bssrdf.transport.arrays import NUMPY
 
 CELLS = ("Marble G", "Skin1 G", "Chicken1 R", "Wholemilk R")
@@ -121,3 +121,23 @@ def test_light_that_falls_by_many_decades_is_not_rejected_for_its_rounding() -> 
     pieces = [slice_of(r_mm, rd + sd * noise, sd=sd, eta=1.3, g=0.0, scale_rel_sd=0.003) for noise in noises]
     for channels in fit_slices(pieces, FitOptions(model="mc")):
         assert "shape_misfit" not in channels["G"].flags
+
+
+@pytest.mark.parametrize("name", ["Skin1 R", "Skin2 R", "Potato G", "Apple B"])
+def test_a_dipole_is_not_refused_for_how_it_bends_on_honest_light(name: str) -> None:
+    """It departs from true light by 0.1 to 0.2 of it near the beam, which at noise of 3 % is barely significant."""
+    pieces = [with_wide_rings(shipped()[name], 0.03, seed) for seed in range(12)]
+    fits = [each["G"] for each in fit_slices(pieces, FitOptions(model="dipole"))]
+    assert {each.status for each in fits} == {"converged"}
+
+
+def with_wide_rings(light: TrialLight, noise: float, seed: int) -> Slice:
+    """Every four annuli of a cell as one, out to 12 mean free paths, with noise of that relative size."""
+    rows = np.arange(light.used.start, light.used.start + 92).reshape(-1, 4)
+    edges = edges_mm(light.cell)
+    lo, hi, area = edges[rows[:, 0]], edges[rows[:, -1] + 1], np.diff(edges**2)[rows]
+    rd = (light.rd[rows] * area).sum(1) / area.sum(1)
+    noisy = rd * (1 + noise * np.random.default_rng(seed).standard_normal(rd.size))
+    honest = slices_of(light, 1, noise, seed)[0]
+    part = ChannelSlice((lo + hi) / 2, noisy, noise * rd, lo, hi)
+    return replace(honest, channels={"G": part}, total_r_sd={"G": 0.004 * light.total})
