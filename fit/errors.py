@@ -15,7 +15,7 @@ import numpy as np
 from bssrdf.fit.laying import look
 from bssrdf.fit.problem import Gaps, Looked, Plan, Problem
 from bssrdf.fit.solve import Solution
-from bssrdf.fit.terms import elimination, keeping, model_sd, rows_of, squares, system, totals_of, window
+from bssrdf.fit.terms import elimination, keeping, model_sd, over_data, rows_of, squares, system, totals_of, window
 from bssrdf.transport.arrays import Engine
 from bssrdf.transport.light import Light
 
@@ -73,8 +73,9 @@ def judge(
     keeps = keeping(plan, totals)
     answer = _answer(e, plan, keeps, full.matrix)
     w2 = [squares(e, plan, model, data, laid, at, each[0], k) for k, each in enumerate(looks)]
-    used = tuple((window(e, model, c, at.log_sigma) > 0.5) & (m > 0) for c, m in zip(data.curves, by.mass, strict=True))
-    n = sum(((c.known != 0).sum(2) * window(e, model, c, at.log_sigma)).sum(1) for c in data.curves)
+    windows = [window(e, model, c, at.log_sigma) for c in data.curves]
+    used = tuple((inside > 0.5) & (mass > 0) for inside, mass in zip(windows, by.mass, strict=True))
+    n = sum((over_data(c.known != 0) * inside).sum(1) for c, inside in zip(data.curves, windows, strict=True))
     in_force = [each * _rescaled(xp, each, mass) for each, mass in zip(w2, by.mass, strict=True)]
     apart = sum(_within(c.rd, w).sum(1) for c, w in zip(data.curves, in_force, strict=True))
     chi2 = (found.stated + found.ease * apart) / xp.maximum(n + plan.weighed - len(plan.free), 1)
@@ -191,12 +192,14 @@ def _gram(xp: Any, x: Any, weight: Any) -> Any:
 
 def _rescaled(xp: Any, w2: Any, mass: Any) -> Any:
     """By which the weights in force fall short of plain ones, as Huber's do."""
-    whole = w2.sum(2)
+    whole = over_data(w2)
     return xp.where(whole > 0, mass / xp.where(whole > 0, whole, 1.0), 0.0)[..., None]
 
 
 def _within(values: Any, w2: Any) -> Any:
     """Σ w² (value − mean)² over the data of each radius, (b, u)."""
+    if w2.shape[2] == 1:
+        return 0 * w2[..., 0]
     mass = w2.sum(2, keepdims=True)
     mean = (w2 * values).sum(2, keepdims=True) / (mass + (mass == 0))
     return (w2 * (values - mean) ** 2).sum(2)
@@ -234,9 +237,11 @@ def _drift(e: Engine, laid: Any, looks: Any, by: Any, shared: Any, grown: Any, s
         counts = by.mass[k] > 0
         weight = by.mass[k] * value * value
         relative = xp.where(counts, (by.mean[k] - _fitted(laid, each, shared, k)) / value, 0.0)
-        first = xp.argsort(xp.where(counts, 0, 1), axis=1, stable=True)  # those that count, in order of radius
-        weight = xp.take_along_axis(xp.where(counts, weight, 0.0), first, axis=1)
-        moment = weight * xp.take_along_axis(relative, first, axis=1)
+        if not counts.all():  # those that count, in order of radius
+            first = xp.argsort(~counts, axis=1, stable=True)
+            weight = xp.take_along_axis(xp.where(counts, weight, 0.0), first, axis=1)
+            relative = xp.take_along_axis(relative, first, axis=1)
+        moment = weight * relative
         ended = xp.zeros_like(weight[:, :1])  # summed inwards: light far out would be lost in sums from the beam
         beyond = [
             xp.concatenate([xp.cumsum(each[:, ::-1], axis=1)[:, ::-1], ended], axis=1) for each in (weight, moment)

@@ -195,9 +195,11 @@ def optimise(
         if relay:
             by = weigh(e, plan, model, data, laid, s.trial, seen, s.errors)
         there = reduced(data, laid, seen, by, s.trial)
-        cost = cost_at(e, plan, data, laid, seen, s.weights) if relay else there.cost
-        better = cost <= s.here.cost + SLACK * (1 + s.here.cost)
-        better = better | (xp.isfinite(s.here.cost) & (_distance(xp, s.trial, s.best) < NEAR))
+        near = xp.isfinite(s.here.cost) & (_distance(xp, s.trial, s.best) < NEAR)
+        cost = there.cost
+        if relay:
+            cost = e.needed(~near, lambda: cost_at(e, plan, data, laid, seen, s.weights), cost)
+        better = near | (cost <= s.here.cost + SLACK * (1 + s.here.cost))
         best, laid, here, by = e.chosen(better, (s.trial, laid, there, by), (s.best, s.laid, s.here, s.weights))
         damping = xp.where(better, s.damping * 0.1, xp.maximum(s.damping, 1e-3) * 10)
         move, errors, trial = ahead(best, here, damping)

@@ -57,6 +57,10 @@ class Engine(Protocol):
         """By row `a` where the test (b,) holds, else `b`, through tuples of arrays."""
         ...
 
+    def needed(self, test: Any, made: Callable[[], Any], otherwise: Any) -> Any:
+        """What is made (b,), unless the test holds for no row and nobody will ask."""
+        ...
+
 
 class NumpyEngine:
     """For up to some thousand curves: nothing is compiled."""
@@ -83,8 +87,9 @@ class NumpyEngine:
                     _put(whole, rows[~on], picked(state, ~on))
                 else:
                     whole = replaced(state, [], picked(state, []))  # a copy
-                rows = rows[on] if rows.size else np.flatnonzero(on)
-                state, fixed = picked(state, on), picked(fixed, on)
+                stay = np.flatnonzero(on)
+                rows = rows[stay] if rows.size else stay
+                state, fixed = picked((state, fixed), stay)
             state = body(state, fixed)
         if not rows.size:
             return state
@@ -103,6 +108,10 @@ class NumpyEngine:
         if test.all():
             return a
         return _chosen(np, test, a, b) if test.any() else b
+
+    @staticmethod
+    def needed(test: Any, made: Callable[[], Any], otherwise: Any) -> Any:
+        return made() if test.any() else otherwise
 
 
 class JaxEngine:
@@ -143,6 +152,9 @@ class JaxEngine:
     def chosen(self, test: Any, a: State, b: State) -> State:
         return _chosen(self.xp, test, a, b)
 
+    def needed(self, test: Any, made: Callable[[], Any], otherwise: Any) -> Any:
+        return made()
+
 
 def _chosen(xp: Any, test: Any, a: Any, b: Any) -> Any:
     if a is b:
@@ -154,11 +166,20 @@ def _chosen(xp: Any, test: Any, a: Any, b: Any) -> Any:
 
 
 def picked(tree: Any, rows: Any) -> Any:
-    """Some rows of the arrays in nested tuples; what is not an array stays."""
-    if isinstance(tree, tuple):
-        made = [picked(each, rows) for each in tree]
-        return type(tree)(*made) if hasattr(tree, "_fields") else tuple(made)
-    return tree[rows] if isinstance(tree, np.ndarray) else tree
+    """Some rows of the arrays in nested tuples, one that stands twice picked once; what is not an array stays."""
+    made: dict[int, Any] = {}
+
+    def of(each: Any) -> Any:
+        if isinstance(each, tuple):
+            parts = [of(part) for part in each]
+            return type(each)(*parts) if hasattr(each, "_fields") else tuple(parts)
+        if not isinstance(each, np.ndarray):
+            return each
+        if id(each) not in made:
+            made[id(each)] = each[rows]
+        return made[id(each)]
+
+    return of(tree)
 
 
 def _put(tree: Any, rows: Any, new: Any) -> None:

@@ -114,9 +114,11 @@ class Dipole(NamedTuple):
             d = xp.sqrt(d2)
             y = aq * d
             pulse = z * xp.exp(-y) / (d2 * d)
-            value = value + (1 + y) * pulse
-            by_x = by_x - x2 / d2 * (3 + 3 * y + y * y) * pulse
-            by_q = by_q - y * d * pulse
+            bent = y * pulse
+            flux = pulse + bent
+            value = value + flux
+            by_x = by_x - x2 / d2 * (3 * flux + y * bent)
+            by_q = by_q - d * bent
         k = albedo / (4 * np.pi)
         return k * value, k * by_x, xp.sign(q) * (k * by_q - aq / (6 * np.pi) * value)
 
