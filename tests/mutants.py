@@ -99,7 +99,7 @@ PHYSICS = (
     Mutant(
         "dipole of the fits: decay without the 1 + σtr d",
         "transport/light.py",
-        "value = value + (1 + y) * pulse",
+        "value = value + flux",
         "value = value + pulse",
         ("light::a_look_is_the_model_s_curve",),
     ),
