@@ -47,6 +47,8 @@ RINGS = 54
 NEAREST_MFP, FARTHEST_MFP = 0.3, 24.0
 FAINTEST = 1e-5
 """Of the nearest ring: fainter ones are left out."""
+NOISIEST = 0.25
+"""Relative standard error of one seed, likewise."""
 
 
 @dataclass(frozen=True)
@@ -87,7 +89,7 @@ def camera_lights(
     flux = np.pi * float(transmittance(medium.eta, np.array(1.0))) / photons
     per_area = flux / (np.pi * np.diff(edges_mm**2))
     return [
-        _lit(CameraLight(medium, angle, edges_mm, a[:, 1:] * per_area, b[:, 1:] * per_area, flux * t))
+        bright(CameraLight(medium, angle, edges_mm, a[:, 1:] * per_area, b[:, 1:] * per_area, flux * t))
         for angle, a, b, t in zip(angles_deg, across, around, total, strict=True)
     ]
 
@@ -103,16 +105,18 @@ def _walked(
     return across, around, total
 
 
-def _lit(light: CameraLight) -> CameraLight:
-    """Without the rings that are too faint."""
-    mean = light.around.mean(axis=0)
-    bright = int(np.argmax(np.append(mean < FAINTEST * mean[0], True)))
+def bright(light: CameraLight) -> CameraLight:
+    """Without the far rings that are too faint or too noisy."""
+    mean, across = light.around.mean(axis=0), light.across.mean(axis=0)
+    noise = light.across.std(axis=0) / np.where(across > 0, across, np.nan)
+    told = (mean >= FAINTEST * mean[0]) & ((noise < NOISIEST) | (np.arange(noise.size) <= np.nanargmin(noise)))
+    last = int(np.argmin(np.append(told, False)))
     return CameraLight(
         light.medium,
         light.view_angle_deg,
-        light.r_edges_mm[: bright + 1],
-        light.across[:, :bright],
-        light.around[:, :bright],
+        light.r_edges_mm[: last + 1],
+        light.across[:, :last],
+        light.around[:, :last],
         light.total,
     )
 
@@ -173,8 +177,8 @@ def _score_of(key: str, light: CameraLight, fits: Sequence[ChannelFit]) -> tuple
     ends = np.log([getattr(fit, f"{key}_interval95_per_mm") for fit in fits])
     sd = (ends[:, 1] - ends[:, 0]) / (2 * 1.96)
     z = np.abs(ends.mean(axis=1) - np.log(getattr(light.medium, key))) / sd
-    shares = [fit.budget[key].get("exit_law", 0.0) for fit in fits]
-    return int((z <= 1.96).sum()), float(z.max()), float(np.median(sd)), float(np.median(shares))
+    shares = [fit.budget.get(key, {}).get("exit_law", 0.0) for fit in fits]
+    return int((z <= 1.96).sum()), float(np.nanmax(z)), float(np.nanmedian(sd)), float(np.median(shares))
 
 
 def table(outcomes: Sequence[CameraScore]) -> str:

@@ -16,6 +16,7 @@ from bssrdf.fit.layout import Curves, Sight, camera_factor, curves_of, nodes_of,
 from bssrdf.fit.problem import (
     EXIT_MODES,
     OF_MEDIUM,
+    SIDE_MODES,
     TABLE_MODES,
     Constraint,
     Neighbours,
@@ -248,6 +249,7 @@ def _shared(
     if slanted and model.exit_error_mfp > 0:
         found += [Shared("exit", slanted, mode) for mode in range(EXIT_MODES)]
     if not model.biased:
+        found += [Shared("side", (k,), mode) for k in filmed if sights[k].slant > 0 for mode in range(SIDE_MODES)]
         found += [Shared("table", every, mode) for mode in range(TABLE_MODES)]
     return tuple(found)
 

@@ -21,12 +21,15 @@ from bssrdf.fit.observe import (
     nodes,
     plain,
     seen_at,
+    side_modes,
+    side_of_total,
     total_seen,
 )
 from bssrdf.fit.problem import (
     OF_CURVE,
     OF_MEDIUM,
     OF_SAMPLE,
+    SIDE_MODES,
     TABLE_MODES,
     Laid,
     Looked,
@@ -169,6 +172,8 @@ def _responses(
             response = curve_off(laid.samples[k])
         elif error.source == "exit":
             response = exit_modes(e, sight, model, c, sigma)[error.mode]
+        elif error.source == "side":
+            response = side_modes(e, sight, c, sigma, at.q)[error.mode]
         elif error.source == "table":
             waves = waves or _waves(e, model, data, sigma, at.q, k)
             response = waves[error.mode]
@@ -222,6 +227,8 @@ def _total_responses(
             response = sds.scale + 0 * at.q
         elif k in error.slices and error.source == "view":
             response = sds.view * view + 0 * at.q
+        elif k in error.slices and error.source == "side" and error.mode == SIDE_MODES - 1:
+            response = side_of_total(plan.sights[k], model, at.q)
         elif k in error.slices and error.source in OF_SAMPLE:
             response = getattr(laid.samples[k], f"total_by_{error.source}")
         elif k in error.slices and error.source in ("eta", "g"):

@@ -42,6 +42,8 @@ class Sight(NamedTuple):
     camera: bool
     """Whether a camera at an angle saw the light, so that the model's own exit law counts."""
     cos_view: float
+    slant: float
+    """Product of the sines of beam and view inside: what hangs on the camera's side of the beam grows with it."""
     binned: bool
     inner: int
     """Annuli, in order of radius, with 12 nodes."""
@@ -242,6 +244,7 @@ def sight_of(piece: Slice, curves: Curves, *, blurred: bool | None = None) -> Si
     return Sight(
         camera=piece.exit == "fresnel",
         cos_view=math.cos(math.radians(piece.view_angle_deg)),
+        slant=math.sin(math.radians(piece.view_angle_deg)) * math.sin(math.radians(piece.incidence_deg)) / piece.eta**2,
         binned=binned,
         inner=min(int(nodes.inner.max()), size) if binned else 0,
         blurred=blurred,

@@ -29,7 +29,7 @@ NEAR_BY = 1e-5
 LEAST_RATIO = 0.2
 """Of a fitted coefficient to the true one, in undoing a bias."""
 E = NUMPY
-_OF_MODELS = ("table", "exit", "eta", "g")
+_OF_MODELS = ("table", "exit", "side", "eta", "g")
 """Shared errors that ask for more than the data."""
 
 

@@ -13,11 +13,13 @@ from bssrdf.fit.observe import QuadratureNodes, Seen
 from bssrdf.transport.light import Light
 
 Constraint = Literal["exact", "soft", "none"]
-Source = Literal["scale", "length", "spot", "view", "exit", "table", "eta", "g", "thickness", "back", "ratio"]
+Source = Literal["scale", "length", "spot", "view", "exit", "side", "table", "eta", "g", "thickness", "back", "ratio"]
 TABLE_MODES = 4
 """Cosines along ln r by which a table's own noise is shared: more are too fine to look like a change of σa or σs′."""
 EXIT_MODES = 4
 """Amplitude, slope in ln r, and two that fall as the radius."""
+SIDE_MODES = 4
+"""The camera's side of an oblique beam: of the curve near the beam, of a mean over azimuths two, and last of R."""
 AT_0 = 1e-6
 """Of q: σa is then below 1e-12 of σs′."""
 OF_MEDIUM: tuple[Source, ...] = ("eta", "g")

@@ -350,6 +350,7 @@ def _held(fitted: Fitted, extra: Extra, answer: _Answer, used: _Used) -> dict[st
         Flag.SD_UNKNOWN: ~known,
         Flag.SHAPE_MISFIT: known & ~thin_rows(fitted) & (judged.drift > np.hypot(MOST_DRIFT, drift)),
         Flag.SIGMA_A_UNIDENTIFIABLE: ~np.isfinite(answer.interval_a[:, 1]),
+        Flag.SIDE_UNKNOWN: not biased and any(sight.slant > 0 for sight in plan.sights if sight.camera),
         Flag.SINGLE_SCATTERING: biased & (q > np.sqrt(1.5)),
         Flag.SPOT_WIDE: spots * sigma_tp > 1,
         Flag.TOTAL_AT_LIMIT: bool(plan.totals) & (totals >= 1).any(axis=1),

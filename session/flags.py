@@ -136,6 +136,11 @@ class Flag(StrEnum):
         "measure",
         "Some pixels off the spot are saturated in every exposure, as by a glint: they and those around were left out.",
     )
+    SIDE_UNKNOWN = (
+        "side_unknown",
+        "fit",
+        "Beam and camera are tilted: R and light near the beam hang on the camera's side; errors allow for either.",
+    )
     INCIDENCE_OBLIQUE = (
         "incidence_oblique",
         "fit",

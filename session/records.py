@@ -336,8 +336,8 @@ class ChannelFit:
         dict[str, dict[str, float]],
         Key(
             "by coefficient the shares of the variance of ln σ by source (`noise`, `total`, `scale`, `length`, `spot`, "
-            "`view`, `exit_law`, `table`, `eta`, `g`, `thickness`, `back`, `ratio`, `misfit`), sum 1; null for "
-            "bounds and where nothing is stated"
+            "`view`, `exit_law`, `side`, `table`, `eta`, `g`, `thickness`, `back`, `ratio`, `misfit`), sum 1; null "
+            "for bounds and where nothing is stated"
         ),
     ] = field(default_factory=dict)
     not_stated: Annotated[tuple[str, ...], Key("within `budget`: errors that no slice states, which count as 0")] = ()

@@ -70,7 +70,7 @@ def test_annuli_of_one_trial_are_independent_where_those_of_one_walk_are_not():
 
 
 def test_rings_of_one_camera_slice_do_not_go_with_its_total():
-    [light] = camera_lights(MEDIA["Whole milk R"].medium, (45.0,), range(60), photons=400)
+    [light] = camera_lights(MEDIA["Whole milk R"].medium, (45.0,), range(60), photons=4_000)
     pieces = camera_slices(light, 0.0, 0.0, seed=2)
     total = np.array([piece.total_r["G"] for piece in pieces])
     rings = np.array([piece.channels["G"].rd_per_mm2 for piece in pieces])
