@@ -155,12 +155,13 @@ class Media:
 
         return self._by_channel(optics, lobe)
 
-    def even_share(self, row: int) -> Floats:
-        """`even_return` by channel of an untextured surface."""
-        surface, table = self.surfaces[row], self.tables[row]
-        return np.asarray(
-            even_return(table, surface.eta, surface.alpha)[np.searchsorted(table.albedo, _albedo(surface))]
-        )
+    def leaving_of(self, row: int) -> Callable[[Floats], Floats]:
+        """`leaving` at cosines (k,) as NumPy arrays, (k, channels), of an untextured surface."""
+        surface, table, mu = self.surfaces[row], self.tables[row], cosines()
+        rows = np.searchsorted(table.albedo, _albedo(surface))
+        lobes = table.lobe[rows] * transmittance_table(surface.eta, surface.alpha)
+        lobes /= 2 * np.trapezoid(lobes * mu, mu, axis=1).reshape(-1, 1)
+        return lambda cosine: np.stack([np.interp(cosine, mu, lobe) for lobe in lobes], axis=1)
 
     def _by_channel(self, optics: Optics, value: Callable[[Any], Any]) -> Any:
         found = []
@@ -191,12 +192,6 @@ class Media:
         ratio = dr.square(q) / 3
         sigma_tp = surface.scale / dr.maximum(second, 1e-20)
         return ratio * sigma_tp, (1 - ratio) * sigma_tp
-
-
-def even_return(table: Kernels, eta: float, alpha: float) -> Floats:
-    """What comes out of even light that entered, over R of light along the normal, for each medium of a table (k,)."""
-    mu, entering = cosines(), transmittance_table(eta, alpha)
-    return np.asarray(np.trapezoid(table.lobe * entering * mu, mu, axis=1) / np.trapezoid(entering * mu, mu))
 
 
 def _interpolated(table: Any, size: int, row: Any, x: Any) -> Any:

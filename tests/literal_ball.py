@@ -2,7 +2,8 @@
 
 Kept apart from the package: its own sphere, NumPy's generator, Henyey and Greenstein's angle, Fresnel's equations and
 Snell's law. `python tests/literal_ball.py` writes the curves in fixtures/. Lengths in mm, coefficients in 1/mm;
-values are light per area over the beam's irradiance, by the cosine of the angle to the beam.
+values are light per area over the beam's irradiance, by the cosine of the angle to the beam, and light per solid angle
+over the beam's flux, by the cosine of its direction against the beam's.
 """
 
 from __future__ import annotations
@@ -50,9 +51,9 @@ def reflectance(index: float, cos_i: float) -> float:
 @njit
 def walk(
     rng: np.random.Generator, photons: int, sigma_a: float, sigma_s: float, g: float, eta: float, radius: float
-) -> tuple[Floats, int]:
-    """Weight that left through each ring, per photon of the beam, and the steps taken."""
-    out = np.zeros(RINGS)
+) -> tuple[Floats, Floats, int]:
+    """Weight that left through each ring and in each range of directions, per photon, and the steps taken."""
+    out, ways = np.zeros(RINGS), np.zeros(RINGS)
     sigma_t = sigma_a + sigma_s
     steps = 0
     p, d, n = np.zeros(3), np.zeros(3), np.zeros(3)
@@ -88,10 +89,13 @@ def walk(
             cos_in = d[0] * n[0] + d[1] * n[1] + d[2] * n[2]
             if rng.random() >= reflectance(1.0 / eta, cos_in):
                 out[min(int((n[2] + 1.0) / 2.0 * RINGS), RINGS - 1)] += weight
+                cos_out = np.sqrt(max(1.0 - eta * eta * (1.0 - cos_in * cos_in), 0.0))
+                up = eta * (d[2] - cos_in * n[2]) + cos_out * n[2]
+                ways[min(int((up + 1.0) / 2.0 * RINGS), RINGS - 1)] += weight
                 break
             for i in range(3):
                 d[i] -= 2.0 * cos_in * n[i]
-    return out / photons, steps
+    return out / photons, ways / photons, steps
 
 
 @njit
@@ -117,14 +121,22 @@ def turn(rng: np.random.Generator, d: Floats, g: float) -> None:
         d[i] /= norm
 
 
-def exitance(ball: WalkedBall, photons: int, seed: int) -> tuple[Floats, Floats, int]:
-    """Radiant exitance of each ring over the beam's irradiance, its standard error, and the steps taken."""
+def light(ball: WalkedBall, photons: int, seed: int) -> tuple[Floats, int]:
+    """Exitance of rings over the beam's irradiance, its standard error, intensity over the beam's flux and its, (4, n).
+
+    And the steps taken.
+    """
     sigma_s = ball.sigma_sp / (1 - ball.g)
     streams = np.random.default_rng(seed).spawn(BATCHES)
     each = -(-photons // BATCHES)
     runs = [walk(rng, each, ball.sigma_a, sigma_s, ball.g, ball.eta, ball.radius) for rng in streams]
-    light = np.array([out for out, _ in runs]) * RINGS / 4  # π R² of beam on rings of 4 π R²/RINGS
-    return light.mean(axis=0), light.std(axis=0, ddof=1) / np.sqrt(BATCHES), sum(steps for _, steps in runs)
+    found = []
+    for batches in (
+        np.array([run[0] for run in runs]) * RINGS / 4,
+        np.array([run[1] for run in runs]) * RINGS / 4 / np.pi,
+    ):
+        found += [batches.mean(axis=0), batches.std(axis=0, ddof=1) / np.sqrt(BATCHES)]
+    return np.array(found), sum(run[2] for run in runs)
 
 
 BALLS = {
@@ -136,20 +148,19 @@ BALLS = {
 }
 
 
-def read(name: str) -> tuple[Floats, Floats]:
-    """Exitance of each ring and its standard error."""
-    rows = np.loadtxt(FIXTURES / f"{name}.csv", delimiter=",", skiprows=3)
-    return rows[:, 2], rows[:, 3]
+def read(name: str) -> Floats:
+    """What `light` found."""
+    return np.loadtxt(FIXTURES / f"{name}.csv", delimiter=",", skiprows=3)[:, 2:].T
 
 
 def write(name: str, ball: WalkedBall) -> None:
-    value, error, steps = exitance(ball, ball.photons, seed=1)
+    found, steps = light(ball, ball.photons, seed=1)
     edges = np.linspace(-1, 1, RINGS + 1)
-    rows = zip(edges[:-1], edges[1:], value, error, strict=True)
+    rows = zip(edges[:-1], edges[1:], *found, strict=True)
     head = (
         f"# tests/literal_ball.py, {ball.photons} photons, {steps:.2g} steps: {ball.radius} mm ball, parallel beam\n"
         f"# sigma_s_prime={ball.sigma_sp}/mm sigma_a={ball.sigma_a}/mm eta={ball.eta} g={ball.g}\n"
-        "cos_lo,cos_hi,exitance_over_irradiance,se\n"
+        "cos_lo,cos_hi,exitance_over_irradiance,se,intensity_over_flux_per_sr,se\n"
     )
     body = "".join(",".join(f"{each:.6g}" for each in row) + "\n" for row in rows)
     (FIXTURES / f"{name}.csv").write_text(head + body, encoding="utf-8")

@@ -6,15 +6,16 @@ import math
 
 import numpy as np
 import pytest
-from literal_ball import BALLS, RINGS, read
+from literal_ball import BALLS, RINGS, WalkedBall, read
 from numpy.typing import NDArray
 
 pytest.importorskip("mitsuba", reason='Mitsuba is not installed: pip install "bssrdf[render]"')
 
-from bssrdf.render.kernel import kernels
-from bssrdf.render.medium import even_return
+from bssrdf.render.interface import transmittance_table
+from bssrdf.render.kernel import cosines
 from bssrdf.render.points import leap, walk
-from bssrdf.render.points.blend import mended, shifted, sparse_faces
+from bssrdf.render.points.blend import mended, sparse_faces
+from bssrdf.render.points.entry import entry_lobes
 from bssrdf.render.points.record import BodySurface, Entered
 from bssrdf.render.points.walk import Inside, walked
 from bssrdf.transport.fresnel import fresnel_t
@@ -65,6 +66,19 @@ def centres(surface: BodySurface) -> tuple[Floats, Floats]:
     return surface.vertices[surface.faces].mean(axis=1), normals / np.linalg.norm(normals, axis=1, keepdims=True)
 
 
+def evenly(surface: BodySurface, eta: float, light: Floats, alpha: float = 0.0) -> Entered:
+    """Of light (n, channels) that is the same from all sides; within the body its mean direction is the normal's."""
+    mu = cosines()
+    enters = transmittance_table(eta, alpha) * mu
+    mean = np.trapezoid(enters * np.sqrt(1 - (1 - mu**2) / eta**2), mu) / np.trapezoid(enters, mu)
+    return Entered(light, light, -mean * surface.normals)
+
+
+def diffuse(cosine: Floats) -> Floats:
+    """Leaves as from Lambert's surface."""
+    return np.ones((len(cosine), 3))
+
+
 def in_beam(surface: BodySurface, eta: float) -> Entered:
     """Under a parallel beam along −z of irradiance 1."""
     cos = np.maximum(surface.normals[:, 2], 0)
@@ -79,7 +93,8 @@ def test_a_white_body_in_even_light_sends_out_all_that_enters(eta: float, g: flo
     surface = ball(4.0)
     white = Inside(np.full(3, 1e-9), np.array([1.0, 1.2, 1.5]), eta, g, alpha)
     places, normals = centres(surface)
-    found = walked(surface, np.ones((len(surface.vertices), 3)), white, places[::4], normals[::4], walks=32)
+    even = evenly(surface, eta, np.ones((len(surface.vertices), 3)), alpha)
+    found = walked(surface, even, white, places[::4], normals[::4], walks=32)
     error = np.sqrt(found.variance.sum(axis=0)) / len(places[::4])
     assert np.all(np.abs(found.mean.mean(axis=0) - 1) < 3e-4 + 3 * error)
     assert np.all(error < 2e-3)
@@ -87,32 +102,58 @@ def test_a_white_body_in_even_light_sends_out_all_that_enters(eta: float, g: flo
 
 @pytest.mark.parametrize("name", BALLS)
 def test_walks_in_a_ball_in_a_beam_agree_with_a_literal_walk(name: str) -> None:
-    known, error = read(name)
-    medium = BALLS[name]
-    surface = ball(medium.radius, rings=48)
-    inside = Inside(np.array([medium.sigma_a]), np.array([medium.sigma_sp]), medium.eta, medium.g)
-    entered = in_beam(surface, medium.eta)
-    path = 1 / (inside.sigma_a + inside.sigma_sp)
-    light = shifted(surface, entered.fresnel[:, :1], entered.direction, path)
+    medium, (known, error) = BALLS[name], read(name)[:2]
+    surface, inside, entered = in_a_beam(medium)
     chosen = sparse_faces(surface, medium.radius / 12, 0)
     places, normals = (part[chosen] for part in centres(surface))
-    found = walked(surface, light, inside, places, normals, walks=256)
+    found = walked(surface, entered, inside, places, normals, walks=128)
     ring = np.minimum(((normals[:, 2] + 1) / 2 * RINGS).astype(int), RINGS - 1)
     count = np.bincount(ring, minlength=RINGS)
     mean = np.bincount(ring, found.mean.mean(axis=1), RINGS) / count
     se = np.sqrt(np.bincount(ring, found.variance.mean(axis=1), RINGS)) / count
-    assert mean.mean() == pytest.approx(known.mean(), rel=0.01)
-    lit = slice(RINGS // 2, None)  # of where light runs inside walks know the mean only: no harder test than a beam
-    assert np.all(np.abs(mean - known)[lit] < 0.12 * known[lit] + 3 * np.hypot(se, error)[lit])
+    matched = medium.eta == 1  # grazing light is spread most
+    assert mean.mean() == pytest.approx(known.mean(), rel=0.03 if matched else 0.02)
+    lit = slice(RINGS // 2 + 2, None)
+    assert np.all(np.abs(mean - known)[lit] < (0.07 if matched else 0.04) * known[lit] + 3 * np.hypot(se, error)[lit])
 
 
-def test_what_was_moved_sideways_is_the_same_light() -> None:
-    surface = ball(4.0)
-    entered = in_beam(surface, 1.3)
-    moved = shifted(surface, entered.fresnel, entered.direction, np.array([0.2, 0.5, 1.0]))
-    np.testing.assert_allclose(surface.areas() @ moved, surface.areas() @ entered.fresnel, rtol=1e-9)
-    straight = shifted(surface, entered.fresnel, -surface.normals, np.ones(3))
-    np.testing.assert_allclose(straight, entered.fresnel, atol=1e-12)
+@pytest.mark.parametrize("name", ["skin1R_ball3", "skin1R_g0.85_ball3", "matched_ball3"])
+def test_light_along_a_view_is_that_of_a_literal_walk(name: str) -> None:
+    """The intensity in directions across the beam and back towards it: the sum of radiance times area seen."""
+    medium, (known, error) = BALLS[name], read(name)[2:]
+    surface, inside, entered = in_a_beam(medium)
+    places, normals = centres(surface)
+    for way in (0.0, 0.6, 0.95):
+        towards = np.array([math.sqrt(1 - way * way), 0, way])
+        seen = np.flatnonzero(normals @ towards > 0)[::3]
+        along = np.tile(towards, (len(seen), 1))
+        found = walked(surface, entered, inside, places[seen], normals[seen], towards=along, walks=64)
+        area = (surface.triangle_areas() * (normals @ towards))[seen]
+        area *= 1 / math.pi / area.sum()  # the disc that is seen, over π times that of the beam
+        expected, known_error = (np.interp(way, np.linspace(-0.95, 0.95, RINGS), part) for part in (known, error))
+        noise = math.hypot(float(np.sqrt(area**2 @ found.variance[:, 0])), known_error)
+        assert abs(area @ found.mean[:, 0] - expected) < 0.03 * expected + 3 * noise, way
+
+
+def in_a_beam(medium: WalkedBall) -> tuple[BodySurface, Inside, Entered]:
+    surface = ball(medium.radius, rings=48)
+    inside = Inside(np.array([medium.sigma_a]), np.array([medium.sigma_sp]), medium.eta, medium.g)
+    light = in_beam(surface, medium.eta)
+    return surface, inside, Entered(light.table[:, :1], light.fresnel[:, :1], light.direction)
+
+
+@pytest.mark.parametrize("eta", [1.0, 1.5])
+@pytest.mark.parametrize("share", [0.0, 0.3, 1.0])
+def test_even_light_and_a_beam_are_told_apart_by_their_mean_direction(eta: float, share: float) -> None:
+    surface = ball(1.0, 8)
+    mean = evenly(surface, eta, np.ones((len(surface.vertices), 1)))
+    beam = -surface.normals + 0.4 * np.cross(surface.normals, [1, 2, 3])
+    beam /= np.linalg.norm(beam, axis=1, keepdims=True)
+    mixed = Entered(mean.table, mean.fresnel, (1 - share) * mean.direction + share * beam)
+    lobes = entry_lobes(surface, mixed, eta, np.asarray(fresnel_t(eta, cosines())))
+    np.testing.assert_allclose(lobes.share, share, atol=2e-3)
+    if share > 0:
+        np.testing.assert_allclose(lobes.beam, beam, atol=0.01)
 
 
 def test_leaps_end_walks_as_every_step_does(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -123,7 +164,7 @@ def test_leaps_end_walks_as_every_step_does(monkeypatch: pytest.MonkeyPatch) -> 
     found = []
     for first in (leap.RADII[0], 1e6):
         monkeypatch.setattr(walk, "RADII", leap.RADII * (first / leap.RADII[0]))
-        each = walked(surface, entered.fresnel, inside, places, normals, walks=64)
+        each = walked(surface, entered, inside, places, normals, walks=64)
         found.append((each.mean.mean(axis=0), np.sqrt(each.variance.sum(axis=0)) / len(places)))
     (leapt, error), (stepped, other) = found
     assert np.all(np.abs(leapt - stepped) < 3.5 * np.hypot(error, other))
@@ -134,25 +175,18 @@ def test_an_evenly_lit_white_ball_is_mended_to_its_light_from_any_error() -> Non
     surface = ball(4.0)
     white = Inside(np.full(3, 1e-9), np.array([1.0, 1.2, 1.5]), 1.3)
     even = np.ones((len(surface.vertices), 3))
-    entered = Entered(even, even, -surface.normals)
     dark = 0.8 * even * (1 + 0.1 * surface.normals[:, :1])
-    light = mended(surface, entered, white, dark, np.ones(3), walks=16)
-    np.testing.assert_allclose(light, 1, rtol=0.03)
+    light = mended(surface, evenly(surface, white.eta, even), white, dark, None, diffuse, walks=16)
+    np.testing.assert_allclose(light, 1, rtol=0.05)
+    assert np.std(light) < 0.015
     assert np.average(light, axis=0, weights=surface.areas()) == pytest.approx([1, 1, 1], rel=3e-3)
-
-
-def test_a_white_medium_returns_even_light_as_it_does_a_beam() -> None:
-    grey, white = even_return(kernels(1.3, 0.0, np.array([0.5, 1.0])), 1.3, 0.0)
-    np.testing.assert_allclose(white, 1, atol=0.01)
-    assert grey > 1.04  # what enters slantwise stays near the surface
 
 
 def test_what_points_find_on_a_flat_thick_body_stays() -> None:
     surface = cube(40.0, 40)
     inside = Inside(np.full(3, 0.5), np.full(3, 1.0), 1.3)
     light = 1 + 0.3 * np.cos(surface.vertices[:, :1] * [0.1, 0.2, 0.3])
-    entered = Entered(light, light, -surface.normals)
-    found = mended(surface, entered, inside, 0.2 * light, np.ones(3), walks=4)
+    found = mended(surface, evenly(surface, 1.3, light), inside, 0.2 * light, None, diffuse, walks=4)
     deep = np.sort(np.abs(surface.vertices), axis=1)[:, 1] < 20
     np.testing.assert_array_equal(found[deep], 0.2 * light[deep])
     assert np.mean(found[~deep] != 0.2 * light[~deep]) > 0.3

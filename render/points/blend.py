@@ -7,6 +7,8 @@ away, and the detail of points stays.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from scipy.spatial import cKDTree
 
@@ -26,8 +28,15 @@ _BENT = 3e-4
 """Bend of a neighbourhood from which on walks count in full; chosen, so that a plane stays as points left it."""
 _BETWEEN = 4
 """Places that a vertex lies between."""
-_DEPOSIT = 7
-"""Places of vertices that share light which entered between them."""
+_GRAZING = 0.05
+"""Cosine to the viewer below which a place counts as unseen: little is transmitted there."""
+_UNSEEN = 4
+"""Of the walks one in so many is enough where the viewer does not look."""
+
+Viewer = Callable[[Floats], Floats]
+"""Unit vectors (k, 3) from places to whoever looks at them."""
+Leaving = Callable[[Floats], Floats]
+"""π times the radiance over the exitance at cosines (k,) to the normal, (k, channels)."""
 
 
 def mended(
@@ -35,15 +44,16 @@ def mended(
     entered: Entered,
     inside: Inside,
     exitance: Floats,
-    even: Floats,
+    viewer: Viewer | None,
+    leaving: Leaving,
     *,
     walks: int,
     seed: int = 0,
 ) -> Floats:
     """Radiant exitance of each vertex of a closed body, (n, channels), from that of points.
 
-    Args: even: what the table returns of even light over that along the normal, (channels,); walks: per channel, from
-    each of the places. Where a body is flat and thick the light of points stays as it is.
+    Args: walks: per channel, from each of the places. Where the viewer sees the body it is the exitance of which
+    `leaving` makes the radiance towards them. Where a body is flat and thick the light of points stays as it is.
     """
     spacing = place_spacing(surface, inside)
     chosen = sparse_faces(surface, spacing, seed)
@@ -54,13 +64,38 @@ def mended(
     rows = np.flatnonzero(bent > 0)
     if len(rows) == 0:
         return exitance
-    light = shifted(surface, entered.table / even, entered.direction, 1 / (inside.sigma_a + inside.sigma_sp))
-    found = walked(surface, light, inside, places[rows], normals[rows], walks=walks, seed=seed)
+    found = _found(surface, entered, inside, places[rows], normals[rows], viewer, leaving, walks, seed)
     around = _Near(places[rows], normals[rows], places[rows], normals[rows], _NEIGHBOURS)
     missing = np.zeros((len(places), exitance.shape[1]))
     missing[rows] = bent[rows, None] * _quiet(around, found, exitance[corners[rows]].mean(axis=1), spacing)
     between = _Near(places, normals, surface.vertices, surface.normals, _BETWEEN)
     return np.maximum(exitance + between.mean(missing, spacing / 2), 0)
+
+
+def _found(
+    surface: BodySurface,
+    entered: Entered,
+    inside: Inside,
+    places: Floats,
+    normals: Floats,
+    viewer: Viewer | None,
+    leaving: Leaving,
+    walks: int,
+    seed: int,
+) -> Walked:
+    """By walks along the view where there is one, by fewer in all directions elsewhere."""
+    towards = np.zeros_like(places) if viewer is None else viewer(places)
+    cosine = np.einsum("ij,ij->i", towards, normals)
+    seen = cosine > _GRAZING
+    mean, variance = np.empty((2, len(places), len(inside.sigma_a)))
+    for rows, along, number in ((seen, towards, walks), (~seen, 0 * towards, max(walks // _UNSEEN, 4))):
+        if rows.any():
+            part = walked(
+                surface, entered, inside, places[rows], normals[rows], towards=along[rows], walks=number, seed=seed
+            )
+            mean[rows], variance[rows] = part.mean, part.variance
+    lobe = np.where(seen[:, None], leaving(cosine), 1)
+    return Walked(mean / lobe, variance / lobe**2)
 
 
 def _quiet(around: _Near, found: Walked, flat: Floats, spacing: float) -> Floats:
@@ -108,34 +143,6 @@ class _Near:
         nearest = self._apart[:, :1]
         weight = self._aligned * np.exp(-0.5 * (np.square(self._apart) - np.square(nearest)) / radius**2)
         return weight / weight.sum(axis=1, keepdims=True)
-
-
-def shifted(surface: BodySurface, light: Floats, direction: Floats, path: Floats) -> Floats:
-    """Light per area (n, channels) moved along the surface as far as it runs sideways in a mean free path (channels,).
-
-    Walks take all light to enter as even light does. To first order what enters slantwise differs by where it
-    begins to diffuse: 1/σt′ along its mean direction (n, 3).
-    """
-    first, place = surface.places()
-    area = np.asarray(np.bincount(place, surface.areas()), np.float64)
-    normals = surface.normals
-    sideways = direction - np.einsum("ij,ij->i", direction, normals)[:, None] * normals
-    lit = np.flatnonzero(light.any(axis=1))
-    tree = cKDTree(surface.vertices[first])
-    moved = light.copy()
-    for channel, length in enumerate(path.tolist()):
-        flux = light[lit, channel] * surface.areas()[lit]
-        for at, sign in ((surface.vertices[lit] + length * sideways[lit], 1.0), (surface.vertices[lit], -1.0)):
-            moved[:, channel] += sign * _deposited(tree, area, at, flux)[place]
-    return moved
-
-
-def _deposited(tree: cKDTree, area: Floats, at: Floats, flux: Floats) -> Floats:
-    """Per area of the places near each."""
-    apart, near = tree.query(at, _DEPOSIT)
-    weight = area[near] * (np.square(1 - np.square(apart / apart[:, -1:])) + 1e-12)  # none for the last, which may tie
-    weight *= (flux / weight.sum(axis=1))[:, None]
-    return np.asarray(np.bincount(near.ravel(), weight.ravel(), len(area)) / np.maximum(area, 1e-300))
 
 
 def sparse_faces(surface: BodySurface, spacing: float, seed: int) -> Integers:

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import mitsuba as mi
 import numpy as np
 
+from bssrdf.render.points.blend import Viewer
 from bssrdf.render.points.record import Floats, LightPlan
 from bssrdf.render.points.spread import Target
 
@@ -55,7 +56,7 @@ def _camera(sensor: Any) -> Callable[[Floats, Floats], InView] | None:
     known = mi.traverse(sensor)
     if "to_world" not in known:
         return None
-    matrix = np.array(known["to_world"].matrix, np.float64).reshape(4, 4)
+    matrix = _to_world(known)
     width, height = (int(side) for side in sensor.film().size())
     if "x_fov" in known:
         tangent = math.tan(math.radians(float(np.ravel(np.array(known["x_fov"]))[0])) / 2)
@@ -63,19 +64,39 @@ def _camera(sensor: Any) -> Callable[[Floats, Floats], InView] | None:
         tangent = None
     else:
         return None
-    back, eye, ahead = np.linalg.inv(matrix), matrix[:3, 3], matrix[:3, 2] / np.linalg.norm(matrix[:3, 2])
+    back = np.linalg.inv(matrix)
+    viewer = _viewer(matrix, tangent is None)
     scale = np.linalg.norm(matrix[:3, 0])
 
     def see(places: Floats, normals: Floats) -> InView:
         seen = places @ back[:3, :3].T + back[:3, 3]
         half = np.ones(len(places)) if tangent is None else np.maximum(seen[:, 2], 1e-6) * tangent
-        towards = -np.broadcast_to(ahead, places.shape) if tangent is None else eye - places
-        towards = towards / np.maximum(np.linalg.norm(towards, axis=1, keepdims=True), 1e-12)
         beyond = np.maximum(np.abs(seen[:, 0]) - 1.05 * half, np.abs(seen[:, 1]) - 1.05 * half * height / width)
         outside = np.maximum(np.maximum(beyond, -seen[:, 2]), 0)
-        return InView(2 * half * scale / width, outside * scale, np.einsum("ij,ij->i", towards, normals))
+        return InView(2 * half * scale / width, outside * scale, np.einsum("ij,ij->i", viewer(places), normals))
 
     return see
+
+
+def viewer_of(sensor: Any | None) -> Viewer | None:
+    """The directions to a camera; None for a sensor that has none of its own."""
+    if sensor is None or sensor.class_name() not in ("PerspectiveCamera", "ThinLensCamera", "OrthographicCamera"):
+        return None
+    return _viewer(_to_world(mi.traverse(sensor)), sensor.class_name() == "OrthographicCamera")
+
+
+def _viewer(matrix: Floats, parallel: bool) -> Viewer:
+    eye, ahead = matrix[:3, 3], matrix[:3, 2] / np.linalg.norm(matrix[:3, 2])
+
+    def towards(places: Floats) -> Floats:
+        way = np.broadcast_to(-ahead, places.shape) if parallel else eye - places
+        return np.asarray(way / np.maximum(np.linalg.norm(way, axis=1, keepdims=True), 1e-12))
+
+    return towards
+
+
+def _to_world(known: Any) -> Floats:
+    return np.array(known["to_world"].matrix, np.float64).reshape(4, 4)
 
 
 def spots_on(scene: Any, bsdf: Any) -> list[tuple[Floats, float]]:

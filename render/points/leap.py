@@ -67,6 +67,21 @@ class RoomGrid:
     room: NDArray[np.float32]
     """(nx, ny, nz)."""
 
+    def nearest_beam(self, places: Floats, vectors: Floats, flux: Floats, least: float) -> Floats:
+        """For each cell the unit vector along the sum of vectors (n, 3) in the nearest cell with places, (cells, 3).
+
+        It is 0 where that sum is below `least` of the flux (n,) there.
+        """
+        shape = self.room.shape
+        cell = np.ravel_multi_index(tuple(((places - self.low) / self.cell).astype(int).T), shape)
+        total = np.stack([np.bincount(cell, vectors[:, axis], self.room.size) for axis in range(3)], axis=1)
+        size = np.linalg.norm(total, axis=1, keepdims=True)
+        enough = size > least * np.bincount(cell, flux, self.room.size)[:, None]
+        unit = np.where(enough, total / np.maximum(size, 1e-300), 0)
+        held = np.bincount(cell, minlength=self.room.size).reshape(shape) > 0
+        nearest = ndimage.distance_transform_edt(~held, return_distances=False, return_indices=True)
+        return np.asarray(unit[np.ravel_multi_index(tuple(nearest.reshape(3, -1)), shape)])
+
 
 def room_grid(surface: BodySurface) -> RoomGrid:
     """The distance transform of the cells that the surface runs through, less what cells can hide."""

@@ -14,9 +14,9 @@ import numpy as np
 from bssrdf.render.medium import Media
 from bssrdf.render.mesh_file import mitsuba_mesh, openings
 from bssrdf.render.paths import EXITANCE, Settings, Tracer
-from bssrdf.render.points.blend import mended
+from bssrdf.render.points.blend import Viewer, mended
 from bssrdf.render.points.enter import Arrived, arrive
-from bssrdf.render.points.fineness import spots_on, target_edge
+from bssrdf.render.points.fineness import spots_on, target_edge, viewer_of
 from bssrdf.render.points.gather import gather
 from bssrdf.render.points.record import BodySurface, Floats, LightPlan
 from bssrdf.render.points.spread import is_closed, refine, surface_of
@@ -52,7 +52,7 @@ def prepare(scene: Any, sensor: Any | None, settings: Settings, plan: LightPlan,
         arrived = arrive(first, mesh, surface, plan.light_samples, plan.seed)
         bodies.append(_LitBody(shape.id(), mesh, surface, arrived))
     for body in bodies:
-        _leave(first.media, body, bodies, plan)
+        _leave(first.media, body, bodies, viewer_of(sensor), plan)
     return Prepared(scene, finer, Tracer(finer, settings))
 
 
@@ -118,13 +118,13 @@ def _rebuilt(scene: Any, shapes: list[Any], meshes: list[Any]) -> Any:
     return mi.load_dict({"type": "scene", **things}, optimize=False)
 
 
-def _leave(media: Media, body: _LitBody, bodies: list[_LitBody], plan: LightPlan) -> None:
+def _leave(media: Media, body: _LitBody, bodies: list[_LitBody], viewer: Viewer | None, plan: LightPlan) -> None:
     """Sum the light of all shapes that share the body's surface, and put what leaves on its vertices."""
     same = [other for other in bodies if other.mesh.bsdf() == body.mesh.bsdf()]
     optics = _optics(media, body.mesh, body.surface)
     exitance = _by_points(media, body, same, optics, plan)
     if plan.method == "walks":
-        exitance = _by_walks(media, body, same, optics, exitance, plan)
+        exitance = _by_walks(media, body, same, optics, exitance, viewer, plan)
     over = (exitance / np.maximum(optics.total, 1e-30)).astype(np.float32)
     body.mesh.add_attribute(EXITANCE, over.shape[1], mi.Float(over.ravel()))
 
@@ -147,7 +147,13 @@ def _row(media: Media, body: _LitBody) -> int:
 
 
 def _by_walks(
-    media: Media, body: _LitBody, same: list[_LitBody], optics: _Coefficients, exitance: Floats, plan: LightPlan
+    media: Media,
+    body: _LitBody,
+    same: list[_LitBody],
+    optics: _Coefficients,
+    exitance: Floats,
+    viewer: Viewer | None,
+    plan: LightPlan,
 ) -> Floats:
     """What points find, mended; where a body is open or its coefficients vary, it is left as it is."""
     surface = media.surfaces[_row(media, body)]
@@ -163,7 +169,8 @@ def _by_walks(
         body.arrived.at_vertices(body.surface),
         inside,
         exitance,
-        media.even_share(_row(media, body)),
+        viewer,
+        media.leaving_of(_row(media, body)),
         walks=plan.walks,
         seed=plan.seed,
     )

@@ -1,13 +1,13 @@
 """Light that leaves a closed body of any form: walks from places on it back to the light that entered, stored there.
 
-A walk starts along the refraction of a cosine-weighted direction outside, and scatters inside the body. At every
-meeting with the surface it takes the light that entered there and goes on, reflected: no lamp has to be found through
-the boundary, and no form of the body is assumed. Coefficients in 1/scene unit.
+A walk starts along the refraction of a direction outside, and scatters inside the body. At every meeting with the
+surface it takes the light that entered there and goes on, reflected: no lamp has to be found through the boundary, and
+no form of the body is assumed. Light that runs along a beam inside is looked for from every scattering too, and what
+both ways find is weighed by the balance heuristic. Coefficients in 1/scene unit.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -15,9 +15,10 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from bssrdf.render.interface import refract_in, sample_phase, transmittance_table
+from bssrdf.render.interface import phase, refract_in, sample_phase, transmittance_table
+from bssrdf.render.points.entry import CONCENTRATION, EntryLight, as_floats, as_vector, even_norm
 from bssrdf.render.points.leap import DRAWS, FIELDS, RADII, room_grid, stored_leaps
-from bssrdf.render.points.record import BodySurface, Floats
+from bssrdf.render.points.record import BodySurface, Entered, Floats
 
 LEAST = 0.1
 """Throughput below which Russian roulette decides whether a walk goes on."""
@@ -51,21 +52,23 @@ class Walked:
 
 def walked(
     surface: BodySurface,
-    light: Floats,
+    entered: Entered,
     inside: Inside,
     places: Floats,
     normals: Floats,
     *,
+    towards: Floats | None = None,
     walks: int,
     seed: int = 0,
 ) -> Walked:
     """Radiant exitance at places (k, 3) with outward normals (k, 3), by `walks` walks per channel from each.
 
-    Args: light: flux per area that entered at each vertex, (n, channels), taken to spread as even light does.
+    Args: towards: unit vectors (k, 3) out of the surface, along which π times the radiance is found instead, or 0.
     The places lie within triangles, not on edges, where half of the directions would leave the body.
     """
-    body = _Body(surface, light, inside)
+    body = _Body(surface, entered, inside)
     channels = len(inside.sigma_a)
+    towards = np.zeros_like(places) if towards is None else towards
     split = max(1, min(walks // 4, _LANES // len(places)))
     each = -(-walks // split)
     total, squares = np.zeros((2, len(places), channels))
@@ -73,7 +76,8 @@ def walked(
     for low in range(0, len(places), size):
         rows = slice(low, low + size)
         for channel in range(channels):  # of the same random numbers: noise has little colour then
-            sums = _lanes(body, channel, places[rows], normals[rows], split, each, seed + 7919 * low)
+            starts = [np.repeat(part[rows], split, axis=0) for part in (places, normals, towards)]
+            sums = _lanes(body, channel, starts, each, seed + 7919 * low)
             total[rows, channel], squares[rows, channel] = (part.reshape(-1, split).sum(axis=1) for part in sums)
     n = each * split
     mean = total / n
@@ -92,21 +96,21 @@ class _Walk:
     total: Any
     squares: Any
     left: Any
+    share: Any
+    """Of a beam met next, for it may have been looked for as well."""
     active: Any
 
 
-def _lanes(
-    body: _Body, channel: int, places: Floats, normals: Floats, split: int, walks: int, seed: int
-) -> tuple[Floats, Floats]:
-    """Sums over the walks of each lane of what they found, and of its square: places, `split` lanes each."""
-    index = np.repeat(np.arange(len(places)), split)
+def _lanes(body: _Body, channel: int, starts: list[Floats], walks: int, seed: int) -> tuple[Floats, Floats]:
+    """Sums over the walks of each lane of what they found, and of its square."""
     sampler = mi.load_dict({"type": "independent"})
-    sampler.seed(seed, len(index))
-    p, n = mi.Point3f(places[index].T.astype(np.float32)), mi.Normal3f(normals[index].T.astype(np.float32))
+    sampler.seed(seed, len(starts[0]))
+    p, n, towards = (mi.Vector3f(part.T.astype(np.float32)) for part in starts)
     optics = body.optics(channel)
-    o, d, throughput = body.start(p, n, sampler)
+    o, d, throughput = body.start(p, n, towards, sampler)
     nothing = mi.Float(0)
-    walk = _Walk(o, d, throughput, nothing, mi.Float(0), mi.Float(0), mi.UInt32(walks - 1), mi.Bool(True))
+    left = dr.opaque(mi.UInt32, walks - 1)
+    walk = _Walk(o, d, throughput, nothing, mi.Float(0), mi.Float(0), left, mi.Float(1), mi.Bool(True))
 
     def step(walk: _Walk, sampler: Any) -> tuple[_Walk, Any]:
         walk = body.step(walk, optics, sampler)
@@ -114,10 +118,11 @@ def _lanes(
         walk.total += dr.select(done, walk.radiance, 0)
         walk.squares += dr.select(done, dr.square(walk.radiance), 0)
         again = done & (walk.left > 0)
-        o, d, throughput = body.start(p, n, sampler)
+        o, d, throughput = body.start(p, n, towards, sampler)
         walk.o, walk.d = dr.select(again, o, walk.o), dr.select(again, d, walk.d)
         walk.throughput = dr.select(again, throughput, walk.throughput)
         walk.radiance = dr.select(done, 0, walk.radiance)
+        walk.share = dr.select(done, 1, walk.share)
         walk.left -= dr.select(again, mi.UInt32(1), mi.UInt32(0))
         walk.active |= again
         return walk, sampler
@@ -137,36 +142,35 @@ class _Optics(NamedTuple):
 class _Body:
     """A closed surface with stored light, as Dr.Jit arrays and as a scene of its own."""
 
-    def __init__(self, surface: BodySurface, light: Floats, inside: Inside) -> None:
+    def __init__(self, surface: BodySurface, entered: Entered, inside: Inside) -> None:
         self._scene = mi.load_dict({"type": "scene", "body": _mesh(surface)})
         self._gap = _GAP * float(np.ptp(surface.vertices, axis=0).max())
         self._faces = mi.UInt32(surface.faces.astype(np.uint32).ravel())
         corners = surface.vertices[surface.faces]
         across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         across /= np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-30)
-        self._face_normals = _floats(across)
-        self._normals = _floats(surface.normals)
-        self._light = _floats(light)
-        self._channels = light.shape[1]
+        self._face_normals = as_floats(across)
+        self._normals = as_floats(surface.normals)
         sigma_s = inside.sigma_sp / (1 - inside.g)
         self._sigma_t = inside.sigma_a + sigma_s
         self._albedo = sigma_s / self._sigma_t
         self._eta, self._g = inside.eta, inside.g
         enters = transmittance_table(inside.eta, inside.alpha)
-        mu = np.linspace(0, 1, len(enters))
-        self._norm = float(2 * np.trapezoid(enters * mu, mu))
+        self._norm = even_norm(enters)
         self._slopes = mi.MicrofacetDistribution(mi.MicrofacetType.GGX, inside.alpha, True) if inside.alpha else None
-        self._leaps = _floats(stored_leaps(inside.g))
+        self._leaps = as_floats(stored_leaps(inside.g))
         self._room = room_grid(surface)
-        self._rooms = _floats(self._room.room)
+        self._rooms = as_floats(self._room.room)
+        self._entry = EntryLight(surface, entered, inside.eta, enters, self._room)
 
     def optics(self, channel: int) -> _Optics:
         sigma_t, albedo = float(self._sigma_t[channel]), float(self._albedo[channel])
         return _Optics(dr.opaque(mi.UInt32, channel), dr.opaque(mi.Float, sigma_t), dr.opaque(mi.Float, albedo))
 
-    def start(self, p: Any, n: Any, sampler: Any) -> tuple[Any, Any, Any]:
+    def start(self, p: Any, n: Any, towards: Any, sampler: Any) -> tuple[Any, Any, Any]:
         """Rays into the body; the weight is the transmittance over its mean C."""
-        out = mi.warp.square_to_cosine_hemisphere(sampler.next_2d())
+        given = mi.Frame3f(n).to_local(towards)
+        out = dr.select(given.z > 0, given, mi.warp.square_to_cosine_hemisphere(sampler.next_2d()))
         facet = self._facet(out, sampler)
         cos = dr.dot(out, facet)
         mirrored = 2 * cos * facet - out
@@ -199,24 +203,61 @@ class _Body:
         walk.o = mi.Point3f(dr.select(leaps, place, walk.o + distance * walk.d))
         lost = dr.select(leaps, dr.power(optics.albedo, orders), dr.select(hit, 1, optics.albedo))
         walk.throughput = walk.throughput * lost
+        share = self._look_for_beam(walk, optics, ahead, flies & ~hit, sampler)
         walk = self._at_surface(walk, optics, met, hit, dr.select(leaps, turned, ahead), sampler)
+        walk.share = dr.select(flies & ~hit, share, 1)
         survival = dr.minimum(walk.throughput / LEAST, 1)
         walk.active &= sampler.next_1d(walk.active) < survival
         walk.throughput = walk.throughput / dr.maximum(survival, 1e-9)
         return walk
 
-    def _level(self, o: Any, optics: _Optics, active: Any) -> Any:
-        """Which of RADII fits between a place and the surface, −1 for none."""
+    def _cell(self, o: Any, active: Any) -> tuple[Any, Any, Any]:
+        """The cell of the room that a place lies in, whether there is one, and the way to its middle."""
         at = (o - mi.Point3f(*self._room.low.tolist())) / self._room.cell
         cell = mi.Vector3i(at)
         size = self._room.room.shape
-        index = (cell.x * size[1] + cell.y) * size[2] + cell.z
         known = active & dr.all((cell >= 0) & (cell < mi.Vector3i(*size)))
-        centre = mi.Vector3f(cell) + 0.5
-        room = dr.gather(mi.Float, self._rooms, mi.UInt32(index), known) - self._room.cell * dr.norm(at - centre)
+        index = mi.UInt32((cell.x * size[1] + cell.y) * size[2] + cell.z)
+        return index, known, self._room.cell * dr.norm(at - mi.Vector3f(cell) - 0.5)
+
+    def _level(self, o: Any, optics: _Optics, active: Any) -> Any:
+        """Which of RADII fits between a place and the surface, −1 for none."""
+        index, known, off = self._cell(o, active)
+        room = dr.gather(mi.Float, self._rooms, index, known) - off
         depth = dr.maximum(room * optics.sigma_t / float(RADII[0]), 1e-3)
         level = dr.minimum(mi.Int32(dr.floor(2 * dr.log2(depth))), len(RADII) - 1)
         return dr.select(known, level, -1)
+
+    def _look_for_beam(self, walk: _Walk, optics: _Optics, ahead: Any, active: Any, sampler: Any) -> Any:
+        """Take the light that arrives unscattered by a beam, and tell the share of one met along `ahead`."""
+        index, known, _ = self._cell(walk.o, active)
+        guide = self._entry.towards(index, known)
+        known &= dr.squared_norm(guide) > 0
+        frame = mi.Frame3f(guide)
+        local = mi.warp.square_to_von_mises_fisher(sampler.next_2d(active), CONCENTRATION)
+        toward = mi.Vector3f(frame.to_world(local))
+        met = self._scene.ray_intersect_preliminary(mi.Ray3f(walk.o, toward), False, known)
+        corners, weights, n, across = self._met(met, known & met.is_valid())
+        hit = known & met.is_valid() & (dr.dot(across, toward) > 0)
+        beam = self._entry.beam(corners, weights, optics.channel, dr.dot(toward, n) * n - toward, hit)
+        scattered = phase(self._g, dr.dot(walk.d, toward))
+        density = mi.warp.square_to_von_mises_fisher_pdf(local, CONCENTRATION)
+        arrives = beam * dr.exp(-optics.sigma_t * met.t) * scattered / (scattered + density)
+        walk.radiance += dr.select(hit, walk.throughput * arrives, 0)
+        by_phase = phase(self._g, dr.dot(walk.d, ahead))
+        by_guide = mi.warp.square_to_von_mises_fisher_pdf(mi.Vector3f(frame.to_local(ahead)), CONCENTRATION)
+        return dr.select(known, by_phase / (by_phase + by_guide), 1)
+
+    def _met(self, met: Any, hit: Any) -> tuple[list[Any], tuple[Any, ...], Any, Any]:
+        """Corners of the triangle and their weights, the shading normal, and the triangle's own."""
+        corners = [dr.gather(mi.UInt32, self._faces, 3 * met.prim_index + i, hit) for i in range(3)]
+        b = met.prim_uv
+        weights = (1 - b.x - b.y, b.x, b.y)
+        first, second, third = (
+            weight * as_vector(self._normals, corner, hit) for weight, corner in zip(weights, corners, strict=True)
+        )
+        across = as_vector(self._face_normals, met.prim_index, hit)
+        return corners, weights, dr.normalize(first + second + third), across
 
     def _leap(self, walk: _Walk, level: Any, optics: _Optics, u: Any, v: Any, leaps: Any) -> tuple[Any, Any, Any]:
         """Place and direction on the sphere, and the scatterings before."""
@@ -231,23 +272,17 @@ class _Body:
 
     def _at_surface(self, walk: _Walk, optics: _Optics, met: Any, hit: Any, elsewhere: Any, sampler: Any) -> _Walk:
         """Take the light that entered, and go on reflected; elsewhere along the direction given."""
-        corners = [dr.gather(mi.UInt32, self._faces, 3 * met.prim_index + i, hit) for i in range(3)]
-        b = met.prim_uv
-        weights = (1 - b.x - b.y, b.x, b.y)
-        across = _vector(self._face_normals, met.prim_index, hit)
-        n = dr.normalize(_mixed(lambda corner: _vector(self._normals, corner, hit), corners, weights))
-        light = _mixed(
-            lambda corner: dr.gather(mi.Float, self._light, corner * self._channels + optics.channel, hit),
-            corners,
-            weights,
-        )
+        corners, weights, n, across = self._met(met, hit)
+        sideways = dr.dot(walk.d, n) * n - walk.d
+        even = self._entry.even(corners, weights, optics.channel, hit)
+        beam = walk.share * self._entry.beam(corners, weights, optics.channel, sideways, hit)
         if self._slopes is not None:
             frame = mi.Frame3f(n)
             local = frame.to_local(walk.d)
             local.z = dr.maximum(local.z, 1e-3)
             n = frame.to_world(self._facet(dr.normalize(local), sampler))
         reflected = mi.fresnel(-dr.clip(dr.dot(n, walk.d), 1e-4, 1), self._eta)[0]
-        walk.radiance += dr.select(hit, walk.throughput * (1 - reflected) * light, 0)
+        walk.radiance += dr.select(hit, walk.throughput * ((1 - reflected) * even + beam), 0)
         walk.throughput = dr.select(hit, walk.throughput * reflected, walk.throughput)
         walk.active &= ~(hit & (dr.dot(across, walk.d) <= 0))  # it came through a crack
         mirrored = walk.d - 2 * dr.dot(walk.d, n) * n
@@ -258,24 +293,10 @@ class _Body:
         return walk
 
 
-def _floats(values: Any) -> Any:
-    return mi.Float(np.ascontiguousarray(values, np.float32).ravel())
-
-
-def _vector(buffer: Any, index: Any, active: Any) -> Any:
-    return mi.Vector3f(*(dr.gather(mi.Float, buffer, 3 * index + i, active) for i in range(3)))
-
-
-def _mixed(value: Callable[[Any], Any], corners: list[Any], weights: tuple[Any, Any, Any]) -> Any:
-    """A value of the corners, between them."""
-    first, second, third = (weight * value(corner) for weight, corner in zip(weights, corners, strict=True))
-    return first + second + third
-
-
 def _mesh(surface: BodySurface) -> Any:
     built = mi.Mesh("body", len(surface.vertices), len(surface.faces))
     held = mi.traverse(built)
-    held["vertex_positions"] = _floats(surface.vertices)
+    held["vertex_positions"] = as_floats(surface.vertices)
     held["faces"] = mi.UInt32(surface.faces.astype(np.uint32).ravel())
     held.update()
     return built
