@@ -14,20 +14,22 @@ if TYPE_CHECKING:
     from bssrdf.calib.counts import plateau_dn as plateau_dn
     from bssrdf.calib.counts import step_dn as step_dn
     from bssrdf.calib.exposures import Comparison as Comparison
+    from bssrdf.calib.exposures import InCommon as InCommon
     from bssrdf.calib.exposures import LocalRatios as LocalRatios
     from bssrdf.calib.exposures import comparable as comparable
     from bssrdf.calib.exposures import compared as compared
     from bssrdf.calib.exposures import least_signal as least_signal
     from bssrdf.calib.exposures import local_log_ratios as local_log_ratios
     from bssrdf.calib.exposures import rough_log_ratio as rough_log_ratio
+    from bssrdf.calib.exposures import shared_noise as shared_noise
     from bssrdf.calib.exposures import signal_weight as signal_weight
     from bssrdf.calib.few_parameters import least_squares as least_squares
     from bssrdf.calib.few_parameters import root as root
-    from bssrdf.calib.frame_model import Exposed as Exposed
     from bssrdf.calib.frame_model import Exposures as Exposures
     from bssrdf.calib.frame_model import FrameModel as FrameModel
     from bssrdf.calib.frame_model import leak_of as leak_of
     from bssrdf.calib.frame_model import solve_frames as solve_frames
+    from bssrdf.calib.frame_solution import Exposed as Exposed
     from bssrdf.calib.geometry import calibrate_geometry as calibrate_geometry
     from bssrdf.calib.monotone import Monotone as Monotone
     from bssrdf.calib.photon_transfer import Gain as Gain

@@ -47,6 +47,29 @@ class Comparison(NamedTuple):
     """Of the logarithm of their ratio, by the scatter of the pixels."""
 
 
+class InCommon(NamedTuple):
+    """Two comparisons with pixels of one frame in common, the longer one of the first: by number."""
+
+    first: int
+    second: int
+    correlation: float
+    """Of the errors that their logarithms have."""
+
+
+def shared_noise(first: Comparison, n_first: int, second: Comparison, n_second: int, light: float) -> float:
+    """Correlation of the logarithms of two comparisons by the photons of `light` [DN], the sum over common pixels.
+
+    These are in the ratio of one above, of the other below: the first errs to one side where the second errs to the
+    other.
+    """
+
+    def counted(a: Comparison, n: int) -> float:
+        return 1 / (n * a.shorter) + 1 / (n * a.longer)
+
+    common = light / (n_first * first.longer * n_second * second.shorter)
+    return -common / float(np.sqrt(counted(first, n_first) * counted(second, n_second)))
+
+
 def signal_weight(ratio: float, sensor: Sensor) -> float:
     """Weight of the longer exposure in the sum by which pixels are chosen, see `comparable`."""
     noise_var = 2 * sensor.read_var_dn()
@@ -114,8 +137,10 @@ def local_log_ratios(
     return LocalRatios(np.log(b / a).astype(float), 2 * _APART * np.stack([rows, columns], axis=1))
 
 
-def compared(shorter: Array, longer: Array, weight: float, step_dn: float) -> Iterator[tuple[float, float, float]]:
-    """Mean signals of two exposures and the variance of the logarithm of their ratio, by levels of brightness.
+def compared(
+    shorter: Array, longer: Array, weight: float, step_dn: float
+) -> Iterator[tuple[NDArray[np.int_], float, float, float]]:
+    """By levels of brightness: the places of the pixels, their mean signals, the variance of the ratio's logarithm.
 
     `weight` is that of the longer one in the sum that orders the pixels. Nothing where there are too few pixels.
     """
@@ -127,4 +152,4 @@ def compared(shorter: Array, longer: Array, weight: float, step_dn: float) -> It
         if not (a.sum() > 0 and b.sum() > 0):
             continue
         scatter = float(np.var(b - b.sum() / a.sum() * a, ddof=1)) * len(a) + step_dn**2
-        yield float(a.mean()), float(b.mean()), scatter / float(b.sum()) ** 2 + _MODEL_REL_SD**2
+        yield members, float(a.mean()), float(b.mean()), scatter / float(b.sum()) ** 2 + _MODEL_REL_SD**2

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -14,6 +14,7 @@ from bssrdf.calib import (
     Exposures,
     FrameModel,
     Gain,
+    InCommon,
     Sensor,
     clipped_variance,
     comparable,
@@ -23,6 +24,7 @@ from bssrdf.calib import (
     pair_gain,
     plateau_dn,
     rough_log_ratio,
+    shared_noise,
     shift_between,
     signal_weight,
     solve_frames,
@@ -83,6 +85,12 @@ class _Found:
     gains: dict[str, list[Gain]] = field(default_factory=dict)
     """By kind."""
     comparisons: list[Comparison] = field(default_factory=list)
+    shared: list[InCommon] = field(default_factory=list)
+    """Comparisons that rest on the same pixels of one frame."""
+    n_compared: list[int] = field(default_factory=list)
+    """Pixels of each comparison."""
+    used: dict[int, NDArray[np.int32]] = field(default_factory=dict)
+    """By colour: one more than the number of the comparison that each pixel of the last pair went into, 0 for none."""
     light: dict[tuple[int, int], float] = field(default_factory=dict)
     """Logarithm of the ratio of the light of two frames, roughly."""
     plateaus: dict[int, float] = field(default_factory=dict)
@@ -120,7 +128,7 @@ def learn_camera(brackets: Sequence[Bracket], camera: Camera, period: int, progr
     sensor = replace(sensor, gain_e_per_dn=gain, read_noise_e=read_noise_e)
 
     noise_dn, span_dn = float(np.sqrt(sensor.read_var_dn())), sensor.span_dn()
-    model = solve_frames(found.frames, found.comparisons, found.n_places, noise_dn, span_dn)
+    model = solve_frames(found.frames, found.comparisons, found.n_places, noise_dn, span_dn, found.shared)
     near = leak_of(model, found.frames, found.comparisons, noise_dn, span_dn)
     sensor = replace(sensor, bend=model.bend)
     leak = np.where(np.abs(near.dn) > np.maximum(_SURE_SD * near.sd_dn, _NOTABLE * noise_dn), near.dn, 0.0)
@@ -158,6 +166,7 @@ def _compare(
     for bracket in brackets:
         exposed = _exposed(bracket, camera)
         done: list[Level] = []
+        found.used.clear()
         lit = False
         for level in levels_of(bracket, sensor):
             lit = lit or bool(level.unsaturated(sensor).any())
@@ -223,9 +232,7 @@ def _compare_pair(found: _Found, before: Level, level: Level, sensor: Sensor, pe
         chosen[at] = fine[0][at] & fine[1][at] & comparable(a[at], b[at], ratio, sensor, span)
     _thin_rows(chosen, period)
     for colour, at in enumerate(places(a.shape, period)):
-        found.comparisons += _by_brightness(
-            second, colour, (a[at], b[at]), (near[0][at], near[1][at]), chosen[at], ratio, sensor
-        )
+        _by_brightness(found, colour, (a[at], b[at]), (near[0][at], near[1][at]), chosen[at], ratio, sensor)
     if before.n_frames == level.n_frames == 1:
         x, y = (plane[chosen].astype(float) for plane in (a, b))
         gain = pair_gain(x, y, sensor.read_var_dn() * (1 + 1 / level.n_darks)) if x.sum() > 0 and y.sum() > 0 else None
@@ -244,21 +251,38 @@ def _compare_pair(found: _Found, before: Level, level: Level, sensor: Sensor, pe
 
 
 def _by_brightness(
-    second: int,
+    found: _Found,
     colour: int,
     signals: tuple[NDArray[np.float32], NDArray[np.float32]],
     near: tuple[NDArray[np.bool_], NDArray[np.bool_]],
     chosen: NDArray[np.bool_],
     ratio: float,
     sensor: Sensor,
-) -> Iterator[Comparison]:
-    """Comparisons of one colour, those beside saturated pixels apart."""
-    weight = signal_weight(ratio, sensor)
+) -> None:
+    """Compare one colour of the last two frames, pixels beside saturated ones apart."""
+    weight, second = signal_weight(ratio, sensor), len(found.frames) - 1
+    before, used = found.used.get(colour), np.zeros(chosen.size, np.int32)
     for beside_ in ((False, False), (False, True), (True, True)):
-        which = chosen & (near[0] == beside_[0]) & (near[1] == beside_[1])
-        x, y = (signal[which].astype(float) for signal in signals)
-        for shorter, longer, log_var in compared(x, y, weight, sensor.step_dn):
-            yield Comparison(second - 1, second, colour, *beside_, shorter, longer, log_var)
+        which = np.flatnonzero(chosen & (near[0] == beside_[0]) & (near[1] == beside_[1]))
+        x, y = (signal.ravel()[which].astype(float) for signal in signals)
+        for members, shorter, longer, log_var in compared(x, y, weight, sensor.step_dn):
+            found.comparisons.append(Comparison(second - 1, second, colour, *beside_, shorter, longer, log_var))
+            found.n_compared.append(len(members))
+            used[which[members]] = len(found.comparisons)
+            if before is not None:
+                _note_shared(found, before[which[members]], x[members])
+    found.used[colour] = used
+
+
+def _note_shared(found: _Found, before: NDArray[np.int32], light: NDArray[np.float64]) -> None:
+    """What the newest comparison has in common with those that its pixels went into before."""
+    newest = len(found.comparisons) - 1
+    common = np.bincount(before, light)
+    for number in np.flatnonzero(common[1:]).tolist():
+        pairs = ((found.comparisons[at], found.n_compared[at]) for at in (number, newest))
+        (first, n_first), (second, n_second) = pairs
+        correlation = shared_noise(first, n_first, second, n_second, float(common[number + 1]))
+        found.shared.append(InCommon(number, newest, correlation))
 
 
 def _thin_rows(chosen: NDArray[np.bool_], period: int) -> None:

@@ -10,7 +10,8 @@ import tifffile
 from bssrdf.calib.colour import calibrate_colour
 from bssrdf.calib.counts import plateau_dn
 from bssrdf.calib.exposures import Comparison, comparable, compared, signal_weight
-from bssrdf.calib.frame_model import Exposed, solve_frames
+from bssrdf.calib.frame_model import solve_frames
+from bssrdf.calib.frame_solution import Exposed
 from bssrdf.calib.photon_transfer import pair_gain, read_noise_dn
 from bssrdf.calib.registration import shift_between
 from bssrdf.calib.response import fit_response
@@ -44,7 +45,7 @@ def solved(true_s, radiance, seed=0):
             chosen = good & before[1] & comparable(before[0], frame, ratio, SENSOR, SENSOR.span_dn())
             pair = before[0][chosen].astype(float), frame[chosen].astype(float)
             told = compared(*pair, signal_weight(ratio, SENSOR), 1.0)
-            comparisons += [Comparison(number - 1, number, 0, False, False, *means) for means in told]
+            comparisons += [Comparison(number - 1, number, 0, False, False, *means) for _, *means in told]
         before = frame, good
     frames = [Exposed("sample", label_s, label_s, 0.03) for label_s in LABELS_S]
     return solve_frames(frames, comparisons, 1, SENSOR.read_var_dn() ** 0.5, SENSOR.span_dn())
@@ -71,7 +72,7 @@ def test_the_estimate_has_no_bias_where_most_pixels_are_dark():
 def test_without_overlap_the_labels_stay():
     found = solve_frames([Exposed("sample", t, t, 0.03) for t in (0.1, 0.2)], [], 1, 1.0, 1000.0)
     assert found.log_scale.tolist() == [0, 0]
-    assert np.sqrt(np.diag(found.covariance)).tolist() == pytest.approx([0.03, 0.03])
+    np.testing.assert_allclose(np.sqrt(np.diag(found.covariance)), 0.03, rtol=0.1)  # and that of the lamp
 
 
 def test_photon_transfer_finds_gain_and_read_noise():

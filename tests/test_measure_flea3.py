@@ -139,7 +139,7 @@ def test_labels_known_to_be_exact_stay_and_the_bend_and_the_black_explain_the_re
     learnt = learn_camera([bracket(folder, wavelength_nm)], CAMERA, 2)
     assert learnt.sensor.black_clipped
     assert np.abs(learnt.exposures.log_scale).max() < 0.006  # the lamp may have changed
-    assert np.all(learnt.exposures.rel_sd < 0.006)
+    assert np.all(learnt.exposures.rel_sd < 0.008)
     assert 0.02 < learnt.sensor.bend < 0.06
     offsets = [correction.offset_dn for correction in learnt.corrections.values()]
     assert -0.8 < np.median(offsets) < -0.1
