@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 
 Kind = Literal["slices", "fits"]
 _FORMAT = b"bssrdf format"
+_SHOWN = "[!.]*.parquet"
 
 
 def arrow() -> Any:
@@ -114,7 +115,7 @@ def parquet_files(path: Path) -> list[Path]:
     """The file, or those in the folder in order of their names; InputError where there is none."""
     if not path.is_dir():
         return [path]
-    files = sorted(path.glob("*.parquet"))
+    files = sorted(path.glob(_SHOWN))
     if not files:
         raise InputError(f"{path}: holds no .parquet file; give one, or the folder that holds them")
     return files
@@ -122,7 +123,7 @@ def parquet_files(path: Path) -> list[Path]:
 
 def is_parquet(path: Path) -> bool:
     """Whether the path names a Parquet file, or a folder of them."""
-    return path.suffix == ".parquet" or (path.is_dir() and any(path.glob("*.parquet")))
+    return path.suffix == ".parquet" or (path.is_dir() and any(path.glob(_SHOWN)))
 
 
 @contextmanager
@@ -165,7 +166,12 @@ def check_version(path: Path, metadata: dict[bytes, bytes]) -> None:
 def kind_of_file(path: Path) -> Kind:
     """Whether it holds slices or fits."""
     with opened(parquet_files(path)[0]) as file:
-        return "fits" if "sigma_a_per_mm" in file.schema_arrow.names else "slices"
+        return "fits" if holds_fits(file) else "slices"
+
+
+def holds_fits(file: pq.ParquetFile) -> bool:
+    """Whether the open file is one of fits."""
+    return "sigma_a_per_mm" in file.schema_arrow.names
 
 
 def names_of(path: Path) -> list[str]:
@@ -181,6 +187,8 @@ def names_of(path: Path) -> list[str]:
 
 def check_columns(path: Path, names: Sequence[str], known: Sequence[str], needed: Sequence[str]) -> None:
     """InputError for a column that is not known, that stands twice or that is missing."""
+    if index := [name for name in names if name.startswith("__index_level_")]:
+        raise InputError(f"{path}: column {index[0]} is the index of pandas; write it by to_parquet(index=False)")
     known_keys(path, "column ", names, known)
     for name in needed:
         if name not in names:
@@ -194,10 +202,13 @@ def cast(path: Path, name: str, column: Any, wanted: pa.DataType) -> Any:
     pa = arrow()
     if column.type == wanted:
         return column
+    refusal = InputError(f"{path}: column {name} is of type {column.type}; write it as {wanted}")
+    if "bool" in str(column.type):  # Arrow would make 1 of true
+        raise refusal
     try:
         return column.cast(wanted)
     except (pa.ArrowInvalid, pa.ArrowNotImplementedError, pa.ArrowTypeError) as error:
-        raise InputError(f"{path}: column {name} is of type {column.type}; write it as {wanted}") from error
+        raise refusal from error
 
 
 def first_line(error: Exception) -> str:

@@ -10,9 +10,11 @@ from typing import Any, NamedTuple
 from bssrdf.batch.arrow import is_parquet, kind_of_file, names_of
 from bssrdf.batch.fit_steps import slice_file
 from bssrdf.batch.fits_parquet import NamedFit, read_fits_of, write_fits
+from bssrdf.batch.inputs import folders_below
 from bssrdf.batch.slices_parquet import Named, read_slices, write_slices
 from bssrdf.errors import BssrdfError, InputError, UsageError
 from bssrdf.session import inside, make_folder, read_fit, read_slice, sha256_of, write_fit, write_slice
+from bssrdf.session.checks import shown
 
 TOGETHER = 1024
 """Files that become rows of one group."""
@@ -70,10 +72,11 @@ def _below(folder: Path, *, fits: bool) -> Sequence[Path]:
     own = folder / "fit.json" if fits else slice_file(folder)
     if own.is_file():
         return [own]
-    wanted = sorted(folder.rglob("fit.json" if fits else "slice.csv"))
-    wanted = wanted or sorted(folder.glob("*.json" if fits else "*.csv"))
+    name = "fit.json" if fits else "slice.csv"
+    wanted = sorted(here / name for here, names in folders_below(folder) if name in names)
+    wanted = wanted or sorted(folder.glob("[!.]*.json" if fits else "[!.]*.csv"))
     if not wanted:
-        raise InputError(f"{folder}: holds no {'fit.json' if fits else 'slice.csv'}; give the folder that does")
+        raise InputError(f"{folder}: holds no {name}; give the folder that does")
     return wanted
 
 
@@ -94,6 +97,8 @@ def _spread(
     progress: Progress | None,
 ) -> Converted:
     names = names_of(source)
+    if not names:
+        raise InputError(f"{source}: holds nothing; give a Parquet file that does")
     root = _common(names)
     failures: list[str] = []
     for done, (name, what) in enumerate(named):
@@ -102,10 +107,17 @@ def _spread(
         if isinstance(what, BssrdfError):
             failures.append(str(what))
             continue
-        file = inside(out, _relative(name, root, suffix), named_in=source.name)
+        file = _file(source, out, name, root, suffix)
         make_folder(file.parent)
         write(file, what)
     return Converted(len(names) - len(failures), failures)
+
+
+def _file(source: Path, out: Path, name: str, root: str, suffix: str) -> Path:
+    try:
+        return inside(out, _relative(name, root, suffix))
+    except InputError as error:
+        raise InputError(f"{source}: name {shown(name)} leads outside {out}; give its rows another") from error
 
 
 def _common(names: Sequence[str]) -> str:

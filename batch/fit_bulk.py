@@ -7,7 +7,6 @@ from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from bssrdf.batch.arrow import kind_of_file
 from bssrdf.batch.fit_steps import asked, fit_all, fit_of
 from bssrdf.batch.fits_parquet import NamedFit, write_fits
 from bssrdf.batch.slices_parquet import Named, count_curves, read_slices
@@ -47,10 +46,10 @@ def fit_parquet(
     `keys` are keys of slice.csv that win over the columns; `rows` are those of a file that are fitted, all if None. A
     slice that fails is a row with its error; raises InputError where the file itself cannot be read or written.
     """
-    if kind_of_file(source) == "fits":
-        raise InputError(f"{source}: holds fits already; give the Parquet file of their slices")
     counts = BulkCounts(Counter(), [], [])
     total, done = count_curves(source), 0
+    if not total:
+        raise InputError(f"{source}: holds no slice; give a Parquet file that does")
     with write_fits(out) as write:
         for group in _groups(read_slices(source, keys, lean=True, rows=rows)):
             if progress is not None:

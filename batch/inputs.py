@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 from collections.abc import Iterator, Sequence
 from itertools import pairwise
 from pathlib import Path, PurePosixPath
@@ -61,7 +62,7 @@ def find_inputs(what: Sequence[str], stages: Sequence[Stage], together: int) -> 
 
 def _spans(what: Sequence[Path], together: int) -> list[BatchInput]:
     """The rows of the files, cut between slices."""
-    files = sorted({str(file.absolute()) for path in what for file in parquet_files(path)})
+    files = sorted({_absolute(file) for path in what for file in parquet_files(path)})
     spans: list[BatchInput] = []
     seen: set[str] = set()
     for name, file in zip(_names(files), files, strict=True):
@@ -89,23 +90,50 @@ def _found(what: str, stages: Sequence[Stage]) -> Iterator[str]:
     if path.is_file():
         if "measure" in stages or path.suffix != ".csv":
             raise InputError(f"{path}: is a file; give sessions, folders of them, or with --stages fit slices (.csv)")
-        yield str(path.absolute())
+        yield _absolute(path)
     elif not path.is_dir():
         raise InputError(f"{path}: is not there; check the path")
     elif (path / "session.toml").is_file() or ("ingest" in stages and not (path / "frames.csv").is_file()):
-        yield str(path.absolute())
+        yield _absolute(path)
     else:
         yield from _below(path, stages)
 
 
+def _absolute(path: Path) -> str:
+    """One spelling of a path: links keep their names, but `..` goes where the system goes."""
+    return str(path.resolve() if ".." in path.parts else path.absolute())
+
+
 def _below(folder: Path, stages: Sequence[Stage]) -> list[str]:
-    sessions = [str(file.parent.absolute()) for file in folder.rglob("session.toml") if ".batch" not in file.parts]
-    slices = [] if sessions or "measure" in stages else [str(file.absolute()) for file in folder.rglob("*.csv")]
+    every = [*folders_below(folder)]
+    sessions = [_absolute(here) for here, names in every if "session.toml" in names]
+    tables = [_absolute(here / name) for here, names in every for name in names if name.endswith(".csv")]
+    slices = [] if sessions or "measure" in stages else tables
     if not sessions and not slices:
         raise InputError(
             f"{folder}: holds no session.toml{'' if 'measure' in stages else ' and no slice'}; give sessions"
         )
     return sessions or slices
+
+
+def folders_below(folder: Path) -> Iterator[tuple[Path, list[str]]]:
+    """Each folder, this one first, and the names of its files: through links, none twice, without what is hidden.
+
+    A batch's folder below is left out. Raises InputError where one cannot be read.
+    """
+    seen: set[str] = set()
+
+    def refuse(error: OSError) -> None:
+        raise InputError(f"{error.filename}: cannot be read ({error.strerror}); let it be read, or give the others")
+
+    for path, folders, names in os.walk(folder, onerror=refuse, followlinks=True):
+        real = os.path.realpath(path)
+        if real in seen or (".batch" in folders and Path(path) != folder):
+            folders.clear()
+            continue
+        seen.add(real)
+        folders[:] = sorted(name for name in folders if not name.startswith("."))
+        yield Path(path), sorted(name for name in names if not name.startswith("."))
 
 
 def _lines(file: Path) -> list[str]:
@@ -116,6 +144,9 @@ def _lines(file: Path) -> list[str]:
     paths = [line for line in lines if line and not line.startswith("#")]
     if not paths:
         raise InputError(f"{file}: lists nothing; write one path on each line")
+    for path in paths:
+        if "://" not in path and not Path(path).exists():
+            raise InputError(f"{file}: lists {path}, which is not there; paths begin in the folder of the command")
     return paths
 
 
@@ -171,7 +202,8 @@ def signature(path: str) -> str:
 
 
 def _marks(path: Path) -> Iterator[str]:
-    files = [path] if path.is_file() else [f for f in path.rglob("*") if f.is_file() and not _is_result(f, path)]
+    below = [] if path.is_file() else [here / name for here, names in folders_below(path) for name in names]
+    files = [path] if path.is_file() else [file for file in below if not _is_result(file, path)]
     slice_of_session = path / "measured" / "slice.csv"
     for file in [*files, *([slice_of_session] if slice_of_session.is_file() else [])]:
         try:

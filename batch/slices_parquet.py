@@ -20,6 +20,7 @@ from bssrdf.batch.arrow import (
     cast,
     check_columns,
     column_of,
+    holds_fits,
     is_json,
     kinds,
     opened,
@@ -166,6 +167,8 @@ def _lists(name: str, arrays: Sequence[NDArray[Any] | None]) -> Any:
 
 
 def _check(path: Path, file: pq.ParquetFile) -> None:
+    if holds_fits(file):
+        raise InputError(f"{path}: holds fits already; give the Parquet file of their slices")
     check_columns(path, file.schema_arrow.names, [*_NAMES, *KEYS, *COLUMNS], ["name", "channel", *NEEDED])
 
 
@@ -263,6 +266,8 @@ def _rows(path: Path, table: Any) -> _Rows:
 
 def _values(path: Path, name: str, kind: Any, column: Any) -> list[Any]:
     values: list[Any] = cast(path, name, column, type_of(kind)).to_pylist()
+    if kind is float:
+        return [None if value != value else value for value in values]
     if not is_json(kind):
         return values
     try:

@@ -7,6 +7,7 @@ measured/, fit.json and report.html, so that every other command takes it too.
 from __future__ import annotations
 
 import errno
+import re
 import shutil
 import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -136,6 +137,7 @@ def _failed(work: _Work, stage: Stage, error: Exception) -> None:
     stage, code, line = _failure(stage, error, work.item.path, work.folder)
     if work.brought is not None:  # the copy is ours, the file that has to be mended is not
         line = line.replace(str(work.folder / "measured" / "slice.csv"), work.brought)
+    line = re.sub(rf"{re.escape(str(work.folder))}/([^/:]+\.toml)", lambda toml: f"{work.item.path}/{toml[1]}", line)
     work.outcome.failed = (stage, code, line)
 
 

@@ -9,6 +9,7 @@ import traceback
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar
+from unicodedata import category
 
 import click
 
@@ -63,7 +64,8 @@ def is_quiet() -> bool:
 
 def warn(message: str) -> None:
     """One line on stderr."""
-    click.echo(f"bssrdf: {' '.join(message.splitlines())}", err=True)
+    line = "".join("\N{REPLACEMENT CHARACTER}" if category(c) == "Cc" else c for c in " ".join(message.splitlines()))
+    click.echo(f"bssrdf: {line}", err=True)
 
 
 def run(group: click.Group, arguments: list[str]) -> int:

@@ -131,7 +131,10 @@ def changed(table: Any, name: str, values: list[Any] | None) -> Any:
         ("total_r", [3.0, 0.5], "must be a share, not per cent: give 0.03"),
         ("eta", None, "slice a: lacks eta; add lines such as"),
         ("r_mm", None, "lacks the column r_mm; add it"),
+        ("eta", [float("nan")] * 2, "slice a: lacks eta; add lines such as"),
         ("eta", ["x", "y"], "column eta is of type string; write it as double"),
+        ("eta", [True, True], "column eta is of type bool; write it as double"),
+        ("rd_per_mm2", [[True] * 40] * 2, "column rd_per_mm2 is of type list<element: bool>; write it as list<"),
         ("rd_per_mm2", [1.0, 2.0], "column rd_per_mm2 is of type double; write it as list<"),
         ("provenance", ["{", "{"], "column provenance holds what is not JSON"),
         ("name", ["a", None], "has a row without a name"),
@@ -153,16 +156,21 @@ def test_bad_rows_are_refused_in_one_line(
 def test_what_is_no_parquet_of_ours_is_refused_by_its_cause(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     source = bulk(tmp_path / "slices.parquet", {"a": plain()})
     table = pq.read_table(source)
-    later, extra, cut, text = (tmp_path / f"{name}.parquet" for name in ("later", "extra", "cut", "text"))
+    names = ("later", "extra", "cut", "text", "index", "nothing")
+    later, extra, cut, text, index, nothing = (tmp_path / f"{name}.parquet" for name in names)
     pq.write_table(table.replace_schema_metadata({"bssrdf format": "2"}), later)
     pq.write_table(table.append_column("etta", pa.array([1.0, 2.0])), extra)
     cut.write_bytes(source.read_bytes()[:-100])
     text.write_text("r,rd\n")
+    pq.write_table(table.append_column("__index_level_0__", pa.array([3, 1])), index)
+    pq.write_table(table.slice(0, 0), nothing)
     for file, said in (
         (later, "format = 2 is newer than this version reads (1); update bssrdf"),
         (extra, "column etta is not known; did you mean eta?"),
         (cut, "is not a whole Parquet file"),
         (text, "is not a whole Parquet file"),
+        (index, "column __index_level_0__ is the index of pandas; write it by to_parquet(index=False)"),
+        (nothing, "holds no slice; give a Parquet file that does"),
         (tmp_path / "none.parquet", "is not there; check the path"),
     ):
         assert bssrdf("fit", file, "--out", tmp_path / "fits.parquet") == 3
@@ -170,6 +178,25 @@ def test_what_is_no_parquet_of_ours_is_refused_by_its_cause(tmp_path: Path, caps
         assert len(lines) == 1
         assert said in lines[0]
         assert not (tmp_path / "fits.parquet").exists()
+
+
+def test_what_other_tools_write_reads_the_same(tmp_path: Path) -> None:
+    source, folder = bulk(tmp_path / "slices.parquet", {"é/ß 雪": plain()}), tmp_path / "folder"
+    table, expected = pq.read_table(source), [*read_slices(source)]
+    folder.mkdir()
+    (folder / "._0.parquet").write_bytes(b"of another system")
+    for columns, kind in (
+        (("r_mm", "rd_per_mm2", "sd_per_mm2"), pa.large_list(pa.float64())),
+        (("r_mm", "rd_per_mm2", "sd_per_mm2"), pa.list_(pa.float64(), 40)),
+        (("name", "channel", "flux"), pa.large_string()),
+        (("name", "channel", "flux"), pa.dictionary(pa.int32(), pa.string())),
+        (("eta", "g"), pa.decimal128(9, 3)),
+    ):
+        other = table
+        for name in columns:
+            other = other.set_column(other.schema.get_field_index(name), name, other[name].cast(kind))
+        pq.write_table(other.replace_schema_metadata(None), folder / "0.parquet")
+        assert repr([*read_slices(folder)]) == repr(expected)
 
 
 def test_slices_that_are_cut_by_a_group_of_rows_stay_whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

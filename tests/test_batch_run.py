@@ -12,6 +12,7 @@ import sys
 import time
 from collections.abc import Iterator
 from dataclasses import replace
+from itertools import count
 from pathlib import Path
 
 import pytest
@@ -19,8 +20,10 @@ from filmed import edit, film, marble
 from many_curves import files_of, plain, rich
 
 from bssrdf.batch import THREADS, Named, read_fits_of, write_slices
+from bssrdf.batch.inputs import find_inputs
 from bssrdf.cli import cli
 from bssrdf.commands.console import run
+from bssrdf.errors import InputError
 from bssrdf.fit import fit_slice
 from bssrdf.session.fit_json import read_fit
 from bssrdf.session.slice_csv import read_slice
@@ -140,7 +143,8 @@ def test_kills_at_any_moment_lose_no_finished_chunk(
     began = time.monotonic()
     assert subprocess.run([*command, "--out", str(tmp_path / "whole")], timeout=300).returncode == 3
     took, table, moments = time.monotonic() - began, tables(tmp_path / "whole"), random.Random(kills)
-    out, known, partly, least = tmp_path / "0", {}, 0, kills // 10
+    folders = (tmp_path / str(number) for number in count())
+    out, known, partly, least = next(folders), {}, 0, kills // 10
     while kills:
         process = subprocess.Popen([*command, "--out", str(out)], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
         try:
@@ -156,7 +160,8 @@ def test_kills_at_any_moment_lose_no_finished_chunk(
         known = found
         if process.returncode == 3:
             assert tables(out) == table
-            out, known = tmp_path / str(kills), {}
+            out, known = next(folders), {}
+            took *= 0.8  # nor one that is less loaded by now be left to end each time
     done = subprocess.run([*command, "--out", str(out)], capture_output=True, text=True, timeout=300)
     assert done.returncode == 3, done.stderr
     assert known.items() <= chunks(out).items()
@@ -194,9 +199,12 @@ def test_a_parquet_file_that_cannot_be_cut_is_refused_before_the_work(
         write([Named(name, "", plain()) for name in "aba"])
     with write_slices(empty) as write:
         write([])
+    assert bssrdf("fit", parquet, "--out", parquet.with_name("fits.parquet"), "--quiet") == 3
+    capsys.readouterr()
     for what, stages, code, said in (
         ((doubled,), "fit", 3, "slice a stands in two places; sort the rows by name"),
         ((empty,), "fit", 3, "holds no slice"),
+        ((parquet.with_name("fits.parquet"),), "fit", 3, "holds fits already; give the Parquet file of their slices"),
         ((parquet, slices), "fit", 2, "give such files by themselves, and --stages fit"),
         ((parquet,), "measure,fit", 2, "give such files by themselves, and --stages fit"),
     ):
@@ -304,6 +312,35 @@ def test_a_scheduler_that_cannot_be_reached_is_one_line(
     assert "--cluster tcp://127.0.0.1:9: cannot be reached" in lines[0]
     for wrong in ("local:0", "local:many", "http://x", "nonsense"):
         assert bssrdf("batch", slices, "--stages", "fit", "--out", out, "--cluster", wrong) == 2
+
+
+def test_an_input_is_found_once_by_whatever_path(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    for name in ("one/a.csv", "two/a.csv", "one/._a.csv", "one/.trash/b.csv", "one/out/.batch/c.csv", "one/out/c.csv"):
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text("x")
+    (tmp_path / "one" / "loop").symlink_to(".")
+    (tmp_path / "links").mkdir()
+    (tmp_path / "links" / "day").symlink_to("../two")
+    (tmp_path / "list.txt").write_bytes("\ufeff# mine\r\none/a.csv\r\n\r\n  two/../one/a.csv \r\n".encode())
+    for what, names in (
+        (["one", "one/../two/a.csv"], ["one-a", "two-a"]),
+        (["links"], ["a"]),
+        (["list.txt"], ["a"]),
+        (["one/out"], ["c"]),
+    ):
+        assert [item.name for item in find_inputs(what, ["fit"], 1)] == names
+    (tmp_path / "list.txt").write_text("one/a.csv\nnone.csv\n")
+    with pytest.raises(InputError, match=r"list\.txt: lists none\.csv, which is not there"):
+        find_inputs(["list.txt"], ["fit"], 1)
+
+
+def test_what_is_wrong_is_named_where_it_can_be_mended(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    session = tmp_path / "session"
+    files_of(session / "measured", {"slice.csv": plain()})
+    (session / "session.toml").write_text("[[[")
+    assert bssrdf("batch", session, "--stages", "fit", "--out", tmp_path / "out") == 3
+    assert f"bssrdf: {session / 'session.toml'}: is not TOML" in capsys.readouterr().err
 
 
 def test_wrong_calls_are_one_line(slices: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
