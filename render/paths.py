@@ -22,6 +22,8 @@ TERMS = ("diffusion", "single", "specular")
 """The last two, and the dipole; with the table's kernel the first holds all that is scattered."""
 EXITANCE = "vertex_exitance"
 """Attribute of a mesh: the radiant exitance over R."""
+MIRRORS = 4
+"""Of bodies in a row by which lamps are followed; light of more is left to chance."""
 _SMALLEST = 1e-4
 """Mean free path, over the size of a coordinate, below which single precision cannot tell two points apart."""
 _LEAST_COSINE = 0.02
@@ -41,6 +43,8 @@ class Settings:
     max_depth: int = 1 << 24
     rr_depth: int = 5
     hide_emitters: bool = False
+    mirrors_apart: bool = False
+    """Leave out lamps that polished bodies mirror first of all: `points.mirrored` follows them."""
 
     def drawn(self) -> tuple[str, ...]:
         """The terms that paths go on by."""
@@ -60,6 +64,8 @@ class Path:
     """The point that the ray comes from, as light sampling saw it."""
     last_pdf: Any
     last_delta: Any
+    mirrored: Any
+    """Have all surfaces so far been mirrors of bodies, and no more than MIRRORS?"""
     seen: Any
     """Did the camera's ray meet a surface?"""
     active: Any
@@ -88,6 +94,7 @@ class Tracer:
             last=dr.zeros(mi.Interaction3f),
             last_pdf=mi.Float(1),
             last_delta=mi.Bool(True),
+            mirrored=mi.Bool(False),
             seen=mi.Bool(False),
             active=mi.Bool(active),
         )
@@ -121,6 +128,8 @@ class Tracer:
         """Light of a surface or surrounding that the ray met, weighed against light sampling."""
         ds = mi.DirectionSample3f(self.scene, si, path.last)
         active = path.active & (path.depth > 0) if self.settings.hide_emitters else path.active
+        if self.settings.mirrors_apart:
+            active = active & ~(path.mirrored & si.is_valid())
         pdf = self._light_pdf(path.last, ds, active & ~path.last_delta)
         share = dr.select(path.last_delta, 1, path.last_pdf / dr.maximum(path.last_pdf + pdf, 1e-30))
         return dr.select(active, path.throughput * share * ds.emitter.eval(si, active), 0)
@@ -251,8 +260,13 @@ class Tracer:
         survival = dr.select(depth >= self.settings.rr_depth, dr.minimum(largest, 0.95), 1)
         active &= sampler.next_1d(active) < survival
         throughput = throughput / dr.maximum(survival, 1e-12)
+        mirrored = mi.Bool(False)
+        for lobe in lobes if self.settings.mirrors_apart else ():
+            if isinstance(lobe, Specular):
+                so_far = (path.depth == 0) | (path.mirrored & (path.depth < MIRRORS))
+                mirrored |= lobe.active & drawn.delta & so_far
         ray = drawn.origin.spawn_ray(drawn.direction)
-        return Path(ray, radiance, throughput, depth, last, drawn.pdf, drawn.delta, seen, active)
+        return Path(ray, radiance, throughput, depth, last, drawn.pdf, drawn.delta, mirrored, seen, active)
 
 
 def interaction(si: Any) -> Any:

@@ -108,7 +108,7 @@ def test_light_across_a_shadows_edge_is_the_tables_line_integral(table: Kernels,
     for k, albedo in enumerate(ALBEDO):
         expected = [line_integral(albedo, -y) for y in dark[:, 1]]
         assert np.mean(light[:, k]) == pytest.approx(np.mean(expected), rel=0.003)
-        np.testing.assert_allclose(light[:, k], expected, rtol=0.01)
+        np.testing.assert_allclose(light[:, k], expected, rtol=0.01, atol=2e-6)  # of what leaves in the light
 
 
 def line_integral(albedo: float, x: float) -> float:

@@ -17,13 +17,13 @@ from bssrdf.render.interface import refract_in
 from bssrdf.render.medium import Optics
 from bssrdf.render.paths import Tracer
 from bssrdf.render.points.record import BodySurface, Entered, Floats
+from bssrdf.render.points.sequence import uniform
 
 _CHUNK = 1 << 20
 _LEAST_PATHS = 1 << 18
 """Into a body, though its triangles be few: the light that leaves then has a noise of some thousandths."""
-_RATIO = 1.1127756842787055
-"""x⁷ = x + 1: its powers are the steps of an additive sequence that fills six dimensions evenly (Roberts 2018)."""
-_STEPS = [int((1 / _RATIO ** (k + 1)) % 1 * 2**32) for k in range(6)]
+_MOST_LAMPS = 6
+"""That each point looks at, all in turn where there are no more: a choice among them would be noise."""
 
 
 @dataclass(frozen=True)
@@ -34,6 +34,9 @@ class Arrived:
     fresnel: Floats
     direction: Floats
     """Unit vector inside times the flux of all channels, (m, 3, 3)."""
+
+    def __add__(self, other: Arrived) -> Arrived:
+        return Arrived(self.table + other.table, self.fresnel + other.fresnel, self.direction + other.direction)
 
     def at_vertices(self, surface: BodySurface) -> Entered:
         """Means over the triangles round each vertex."""
@@ -64,19 +67,13 @@ def arrive(tracer: Tracer, mesh: Any, surface: BodySurface, samples: int, seed: 
         sampler = mi.load_dict({"type": "independent"})
         sampler.seed(seed * 7919 + low // size, count * samples)
         path = dr.opaque(mi.UInt32, low * samples) + dr.arange(mi.UInt32, count * samples)
-        u = [_uniform(path, step, seed * 6 + i) for i, step in enumerate(_STEPS)]
+        u = [uniform(path, axis, seed) for axis in range(6)]
         light, corners = _sample(tracer, mesh, path // dr.opaque(mi.UInt32, samples), u, sampler)
         dr.eval(light, corners)  # together, else each would trace the paths anew
         values = np.array(light, np.float32).reshape(-1, count, samples)
         hats = np.array(corners, np.float32).reshape(3, count, samples)
         found[low : low + count] = 3 / samples * np.einsum("hns,vns->nhv", hats, values, optimize=True)
     return Arrived(*np.split(found, [n_channels, 2 * n_channels], axis=2))
-
-
-def _uniform(number: Any, step: int, stream: int) -> Any:
-    """The number's term of an additive sequence, from a start that the stream decides."""
-    start = int(np.random.default_rng(stream).integers(1 << 32))
-    return mi.Float((number * mi.UInt32(step) + dr.opaque(mi.UInt32, start)) >> 8) * 2.0**-24
 
 
 def _sample(tracer: Tracer, mesh: Any, face: Any, u: list[Any], sampler: Any) -> tuple[list[Any], Any]:
@@ -87,8 +84,10 @@ def _sample(tracer: Tracer, mesh: Any, face: Any, u: list[Any], sampler: Any) ->
     si = hit.compute_surface_interaction(dr.zeros(mi.Ray3f, dr.width(face)), +mi.RayFlags.All, mi.Bool(True))
     row, _ = tracer.media.row(si, mi.Bool(True))
     point = _Point(tracer, si, tracer.media.optics(si, row, mi.Bool(True)), tracer.media.normal(si, row, mi.Bool(True)))
-    point.by_lamp(mi.Point2f(u[2], u[3]))
-    point.by_bounce(mi.Point2f(u[4], u[5]), sampler)
+    lamps = min(len(tracer.scene.emitters()), _MOST_LAMPS)
+    for lamp in range(lamps):
+        point.by_lamp(mi.Point2f((u[2] + lamp) / lamps, u[3]), lamps)
+    point.by_bounce(mi.Point2f(u[4], u[5]), lamps, sampler)
     return [*point.table, *point.fresnel, *point.direction], mi.Vector3f(1 - b.x - b.y, b.x, b.y)
 
 
@@ -104,19 +103,19 @@ class _Point:
         self.fresnel = mi.Spectrum(0)
         self.direction = mi.Vector3f(0)
 
-    def by_lamp(self, u: Any) -> None:
+    def by_lamp(self, u: Any, lamps: int) -> None:
         ds, light = self._tracer.scene.sample_emitter_direction(self._si, u, True)
         cos = dr.maximum(dr.dot(self._normal, ds.d), 0)
         lit = (cos > 0) & (dr.dot(self._si.n, ds.d) > 0) & (ds.pdf > 0)
-        share = dr.select(ds.delta, 1, ds.pdf / (ds.pdf + cos / dr.pi))
+        share = dr.select(ds.delta, 1 / lamps, ds.pdf / (lamps * ds.pdf + cos / dr.pi))
         self._add(ds.d, cos, dr.select(lit, light * cos * share, 0))
 
-    def by_bounce(self, u: Any, sampler: Any) -> None:
+    def by_bounce(self, u: Any, lamps: int, sampler: Any) -> None:
         tracer = self._tracer
         local = mi.warp.square_to_cosine_hemisphere(u)
         direction = mi.Frame3f(self._normal).to_world(local)
         path = tracer.start(self._si.spawn_ray(direction), dr.dot(direction, self._si.n) > 0)
-        path.last, path.last_pdf, path.last_delta = mi.Interaction3f(self._si), local.z / dr.pi, mi.Bool(False)
+        path.last, path.last_pdf, path.last_delta = mi.Interaction3f(self._si), local.z / dr.pi / lamps, mi.Bool(False)
         path, _ = dr.while_loop(
             (path, sampler),
             lambda path, _: path.active,

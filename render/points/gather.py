@@ -23,12 +23,13 @@ _NODES, _WEIGHTS = (part.astype(np.float32) for part in np.polynomial.legendre.l
 _single: Any = np.float32
 Vector = tuple[float, float, float]
 _DEEPEST = 64
-_STEEP = 0.5
+_STEEP = 0.7
 """Radius of a node over the length 1/σtr in which light falls, from which on a disc does not stand for it…"""
-_COUNTS = 2e-3
+_COUNTS = 1e-2
 """…where it sends more than that, over what was found so far, nearer ones first…"""
-_LEAST = 1e-7
-"""…and more than that over what leaves where most light enters."""
+_LEAST = 1e-5
+"""…and more than that over what leaves where most light enters. Under shadows with hard edges on skin1, where most
+nodes are steep, all three leave 0.6 % rms; opening each of them would take four times as long for 0.4 %."""
 
 
 def gather(

@@ -18,6 +18,7 @@ from bssrdf.render.points.blend import Viewer, mended
 from bssrdf.render.points.enter import Arrived, arrive
 from bssrdf.render.points.fineness import spots_on, target_edge, viewer_of
 from bssrdf.render.points.gather import gather
+from bssrdf.render.points.mirrored import mirrored
 from bssrdf.render.points.record import BodySurface, Floats, LightPlan
 from bssrdf.render.points.spread import is_closed, refine, surface_of
 from bssrdf.render.points.walk import Inside
@@ -43,13 +44,14 @@ def prepare(scene: Any, sensor: Any | None, settings: Settings, plan: LightPlan,
     surfaces = [_refined(scene, shape, media, sensor, plan) for shape in media.shapes]
     meshes = [_mesh(shape, surface) for shape, surface in zip(media.shapes, surfaces, strict=True)]
     finer = _rebuilt(scene, media.shapes, meshes)
-    inner = replace(settings, local=True, max_depth=Settings.max_depth, hide_emitters=False)
+    inner = replace(settings, local=True, max_depth=Settings.max_depth, hide_emitters=False, mirrors_apart=True)
     first = Tracer(finer, inner)
     bodies = []
+    by_mirror = mirrored(first, meshes, surfaces, plan.seed)
     for number, (shape, mesh, surface) in enumerate(zip(media.shapes, meshes, surfaces, strict=True)):
         if progress is not None:
             progress(f"light into {shape.id()}", number, len(meshes))
-        arrived = arrive(first, mesh, surface, plan.light_samples, plan.seed)
+        arrived = arrive(first, mesh, surface, plan.light_samples, plan.seed) + by_mirror[number]
         bodies.append(_LitBody(shape.id(), mesh, surface, arrived))
     for body in bodies:
         _leave(first.media, body, bodies, viewer_of(sensor), plan)
