@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from bssrdf.errors import InputError, UsageError
-from bssrdf.render.choose import WIDE, choose_model, mc_refusal, remarks, spread_mm
+from bssrdf.render.choose import DEEP, WIDE, choose_model, mc_refusal, remarks, spread_mm
 from bssrdf.render.head import head_distance, head_mesh
 from bssrdf.render.material import HALF_ALBEDO, RenderMaterial, find_medium, medium_of_fit
 from bssrdf.render.picture import load_stage
@@ -196,10 +196,12 @@ def test_what_volpath_does_not_find_is_refused() -> None:
 
 
 @pytest.mark.usefixtures("renderer")
-@pytest.mark.parametrize(("spreads", "method"), [(0.9 * WIDE, "walks"), (1.1 * WIDE, "points")])
-def test_auto_walks_in_bodies_that_are_small_against_the_spread_of_light(spreads: float, method: str) -> None:
-    radius = spreads * max(spread_mm(MARBLE))
-    scene = ball_of(MARBLE, radius)
+@pytest.mark.parametrize(("share", "method"), [(0.9, "walks"), (1.1, "points")])
+@pytest.mark.parametrize("material", ["Marble", "Skin1"])
+def test_auto_walks_in_bodies_that_are_small_against_light_s_ways(material: str, share: float, method: str) -> None:
+    medium = find_medium(material)
+    radius = share * max(WIDE * max(spread_mm(medium)), DEEP * max(medium.mean_free_path))
+    scene = ball_of(medium, radius)
     ball = dataclasses.replace(scene.bodies["ball"], shape={"type": "sphere", "radius": radius})
     lit = dataclasses.replace(scene, bodies={"ball": ball}, lights={"sky": sky(1.0)})
     assert load_stage(lit, RenderOptions("bssrdf")).chosen.startswith(method)
