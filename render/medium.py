@@ -58,6 +58,7 @@ class Media:
 
     def __init__(self, scene: Any, kernel: Kernel = "table") -> None:
         surfaces: dict[int, MediumBoundary] = {}
+        self._kernel = kernel
         self.shapes: list[Any] = []
         self.others = False
         """Has the scene surfaces of another kind?"""
@@ -82,7 +83,9 @@ class Media:
         self._rows = mi.UInt32(rows)
         crossed = [transmittance_table(surface.eta, surface.alpha) for surface in self.surfaces]
         self._transmittance = mi.Float(np.concatenate(crossed).astype(np.float32))
-        self._inversion = mi.Float(np.concatenate([inversion_table(s.eta) for s in self.surfaces]).astype(np.float32))
+        self._inversion = mi.Float(
+            np.concatenate([inversion_table(s.eta, s.g) for s in self.surfaces]).astype(np.float32)
+        )
         lobes = [table.lobe * once for table, once in zip(self.tables, crossed, strict=True)]
         mu = cosines()
         norms = [2 * np.trapezoid(lobe * mu, mu, axis=1) for lobe in lobes]
@@ -99,6 +102,20 @@ class Media:
         if self.textured:
             return 0.0
         return min((1 / float(np.max(extinction(s))) for s in self.surfaces), default=math.inf)
+
+    def remarks(self) -> list[str]:
+        """A line for each surface whose light is not quite that of its own medium."""
+        found = []
+        for surface in self.surfaces:
+            at_hand = nearest(surface.eta, surface.g)
+            if self._kernel == "table" and not at_hand.near:
+                found.append(
+                    f"surface of eta {surface.eta:g} and g {surface.g:g}: no Monte Carlo table is that near; "
+                    f"its points are of eta {at_hand.eta:g} and g {at_hand.g:g}"
+                )
+            if self._kernel == "dipole" and "reflectance" in surface.pair:
+                found.append("a reflectance is taken to be the Monte Carlo table's; the dipole gives another of it")
+        return found
 
     def row(self, si: Any, active: Any) -> tuple[Any, Any]:
         """Row of the table under each hit, and whether there is one."""
@@ -189,7 +206,7 @@ class Media:
         if "sigma_a" in surface.pair:
             return first * surface.scale, second * surface.scale
         q = mi.Spectrum([_interpolated(self._inversion, INVERSION_SIZE, i, channel) for channel in first])
-        ratio = dr.square(q) / 3
+        ratio = dr.square(q)
         sigma_tp = surface.scale / dr.maximum(second, 1e-20)
         return ratio * sigma_tp, (1 - ratio) * sigma_tp
 

@@ -15,9 +15,11 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import PchipInterpolator
 
 from bssrdf.errors import InputError
-from bssrdf.transport import scoped_x64
+from bssrdf.render.kernel import kernels
+from bssrdf.transport import nearest, scoped_x64
 from bssrdf.transport.dipole import total_r_of_ratio
 from bssrdf.transport.fresnel import exit_norm
 
@@ -26,6 +28,8 @@ PAIRS = (("sigma_a", "sigma_sp"), ("reflectance", "mean_free_path"))
 NUMBERS = {"scale": 1.0, "g": 0.0, "alpha": 0.0, "bump_scale": 1.0}
 
 INVERSION_SIZE = 1024
+_MEDIA = 33
+"""Evenly spaced in q, between which R is interpolated."""
 _LOOKS = 256
 """Places looked up in a texture along each side."""
 
@@ -136,7 +140,7 @@ def coefficients(surface: MediumBoundary) -> Floats:
     first, second = surface.pair.values()
     if "sigma_a" in surface.pair:
         return np.stack(np.broadcast_arrays(first, second)) * surface.scale
-    ratio = np.interp(first, np.linspace(0, 1, INVERSION_SIZE), inversion_table(surface.eta)) ** 2 / 3
+    ratio = np.interp(first, np.linspace(0, 1, INVERSION_SIZE), inversion_table(surface.eta, surface.g)) ** 2
     return np.stack([ratio, 1 - ratio]) * surface.scale / np.maximum(second, 1e-20)
 
 
@@ -180,11 +184,12 @@ def _looked_up(value: Any) -> Floats:
 
 
 @functools.cache
-def inversion_table(eta: float) -> Floats:
-    """q = √(3(1 − α′)) over R on a uniform grid from 0 to 1."""
-    q = np.linspace(0, math.sqrt(3), 1 << 14)
-    totals = _total(q * q / 3, eta)
-    return np.interp(np.linspace(0, 1, INVERSION_SIZE), totals[::-1], q[::-1])
+def inversion_table(eta: float, g: float) -> Floats:
+    """q = √(1 − α′) over R of the Monte Carlo table, on a uniform grid from 0 to 1."""
+    at_hand = nearest(eta, g)
+    media = kernels(at_hand.eta, at_hand.g, 1 - np.linspace(1, 0, _MEDIA) ** 2)
+    q_of_total = PchipInterpolator(media.total, np.sqrt(1 - media.albedo))
+    return np.asarray(q_of_total(np.linspace(0, 1, INVERSION_SIZE) * media.total[-1]))
 
 
 @scoped_x64

@@ -6,6 +6,7 @@ The triangles lie in those that the shape has, so that a mesh keeps its form.
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
@@ -117,15 +118,37 @@ def _cylinder() -> BodySurface:
 _TEMPLATES = {"Sphere": _sphere, "Rectangle": _rectangle, "Disk": _disk, "Cylinder": _cylinder}
 
 
-def refine(surface: BodySurface, target: Target, most: int) -> BodySurface:
-    """Edges halved until none is longer than `target` allows, or there would be more than `most` triangles."""
+def refine(surface: BodySurface, target: Target, most: int, name: str) -> BodySurface:
+    """Edges halved until none is longer than `target` allows, or, as a warning says, there is room for no more."""
     while True:
         _, place = surface.places()
         pairs, of_edge = _edges(surface.faces, len(surface.vertices))
         split = _too_long(surface, place, pairs, target)
-        if not split.any() or len(surface.faces) + 2 * np.count_nonzero(split) > most:
+        if not split.any():
+            return surface
+        if len(surface.faces) + 2 * np.count_nonzero(split) > most:
+            warnings.warn(_too_coarse(surface, pairs, target, name), stacklevel=2)
             return surface
         surface = _split(surface, pairs[split], _numbered(split, len(surface.vertices))[of_edge])
+
+
+def _too_coarse(surface: BodySurface, pairs: Integers, target: Target, name: str) -> str:
+    longer = float((_lengths(surface, pairs) / target(*_middles(surface, pairs))).max())
+    return (
+        f"{name}: {len(surface.faces):,} triangles are all there is room for; edges are up to {longer:.2g} times as "
+        "long as pixels and medium ask for, and finer detail is lost; give fewer pixels, or a smaller mesh"
+    )
+
+
+def _lengths(surface: BodySurface, pairs: Integers) -> Floats:
+    return np.asarray(np.linalg.norm(np.diff(surface.vertices[pairs], axis=1)[:, 0], axis=1))
+
+
+def _middles(surface: BodySurface, pairs: Integers) -> tuple[Floats, Floats]:
+    """Of edges, with the normals there."""
+    normals = surface.normals[pairs].sum(axis=1)
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+    return surface.vertices[pairs].mean(axis=1), normals
 
 
 def _edges(faces: Integers, n: int) -> tuple[Integers, Integers]:
@@ -137,9 +160,7 @@ def _edges(faces: Integers, n: int) -> tuple[Integers, Integers]:
 
 def _too_long(surface: BodySurface, place: Integers, pairs: Integers, target: Target) -> np.ndarray:
     """Which edges; those that lie at one place are split together, so that no gap opens."""
-    ends, normals = surface.vertices[pairs], surface.normals[pairs].sum(axis=1)
-    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
-    long = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1) > target(ends.mean(axis=1), normals)
+    long = _lengths(surface, pairs) > target(*_middles(surface, pairs))
     at = np.sort(place[pairs], axis=1)
     _, same = np.unique(at[:, 0] * (place.max() + 1) + at[:, 1], return_inverse=True)
     return (np.bincount(same.ravel(), long) > 0)[same.ravel()]
@@ -151,9 +172,8 @@ def _numbered(split: np.ndarray, first: int) -> Integers:
 
 
 def _split(surface: BodySurface, pairs: Integers, middle: Integers) -> BodySurface:
-    vertices = np.concatenate([surface.vertices, surface.vertices[pairs].mean(axis=1)])
-    normals = surface.normals[pairs].sum(axis=1)
-    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+    places, normals = _middles(surface, pairs)
+    vertices = np.concatenate([surface.vertices, places])
     uv = np.concatenate([surface.uv, surface.uv[pairs].mean(axis=1)])
     return BodySurface(vertices, np.concatenate([surface.normals, normals]), uv, _cut(surface.faces, middle))
 
