@@ -32,7 +32,8 @@ def settled(plan: Plan, model: Light, data: Problem, aside: Neighbours, rows: in
     padded = jax.tree.map(lambda x: np.concatenate([x, np.repeat(x[-1:], extra, axis=0)]) if extra else x, arrays)
     exact = jax.default_matmul_precision("highest")  # else a GPU multiplies float32 in 10 bits
     with jax.enable_x64(not single), jax.numpy_rank_promotion("allow"), exact:
-        found: Solution = jax.tree.map(np.asarray, run(padded, {source: aside[source] for source in asked}))
+        ended = jax.block_until_ready(run(padded, {source: aside[source] for source in asked}))
+        found: Solution = jax.tree.map(np.asarray, ended)  # which waits with the lock that JAX's first solve needs
     return jax.tree.map(lambda x: x[: rows - extra] if x.ndim else x, found)
 
 
