@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from bssrdf.calib.exposures import shared_noise as shared_noise
     from bssrdf.calib.exposures import signal_weight as signal_weight
     from bssrdf.calib.few_parameters import least_squares as least_squares
-    from bssrdf.calib.few_parameters import root as root
     from bssrdf.calib.frame_model import Exposures as Exposures
     from bssrdf.calib.frame_model import FrameModel as FrameModel
     from bssrdf.calib.frame_model import leak_of as leak_of

@@ -1,6 +1,6 @@
-"""Least squares of a few parameters between bounds, and the root of a falling or rising function.
+"""Least squares of a few parameters between bounds.
 
-SciPy's do the same; its import takes longer than all the fits of a session.
+SciPy does the same; its import takes longer than all the fits of a session.
 """
 
 from __future__ import annotations
@@ -10,8 +10,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-
-from bssrdf.errors import BssrdfError
 
 Array = NDArray[np.float64]
 
@@ -86,29 +84,3 @@ def _slopes(residual: Callable[[Array], Array], x: Array, here: Array, high: Arr
     steps = _DIFFERENCE * np.maximum(1.0, np.abs(x))
     steps = np.where(x + steps > high, -steps, steps)
     return np.stack([(residual(x + step) - here) / step.sum() for step in np.diag(steps)], axis=1)
-
-
-def root(function: Callable[[float], float], low: float, high: float, close: float) -> float:
-    """Where a function that has opposite signs at `low` and `high` is 0, to `close`: the bracket is cut by inverse
-    quadratic interpolation where three values allow it, else in half (Chandrupatla 1997)."""
-    a, b, at_a, at_b = low, high, function(low), function(high)
-    if at_a * at_b > 0:
-        raise BssrdfError(f"no sign changes between {low:g} and {high:g}")
-    share = 0.5
-    while True:
-        middle = a + share * (b - a)
-        here = function(middle)
-        if (here > 0) == (at_a > 0):
-            c, at_c = a, at_a
-        else:
-            c, at_c, b, at_b = b, at_b, a, at_a
-        a, at_a = middle, here
-        least = close / (2 * max(abs(b - a), 1e-300))
-        if at_a == 0 or least > 0.5:
-            return a if abs(at_a) < abs(at_b) else b
-        apart, rise = (a - b) / (c - b), (at_a - at_b) / (at_c - at_b)
-        share = 0.5
-        if rise**2 < apart and (1 - rise) ** 2 < 1 - apart:
-            share = at_a / (at_b - at_a) * at_c / (at_b - at_c)
-            share += (c - a) / (b - a) * at_a / (at_c - at_a) * at_b / (at_c - at_b)
-        share = min(1 - least, max(least, share))

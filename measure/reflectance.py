@@ -18,7 +18,6 @@ from bssrdf.measure.pixels import mosaic_period
 from bssrdf.measure.profile import Points, RadialProfile, bin_edges, profile
 from bssrdf.measure.pyramid import Blocks
 from bssrdf.measure.tail import (
-    ATTENUATION_REL_SD,
     Boundary,
     Estimate,
     Surroundings,
@@ -115,7 +114,7 @@ def total_light(
         for _ in range(_GLARE_PASSES):
             if fit is not None:
                 reflects = (inside + outside_of(fit.tail)) * per_light
-                fit = _with_floor(where, surroundings, reflects, surroundings.attenuation_rel_sd(reflects))
+                fit = _with_floor(where, surroundings, reflects)
     if fit is None:
         return TotalReflectance(inside, float(np.sqrt(variance)), 0.0, Estimate(0.0, 0.0), within)
     outside = fit.estimate(outside_of)
@@ -131,20 +130,16 @@ def evident_floor(
     """The even floor [DN/s], of either sign, that lies under the tail of a curve clear of its error; None if none."""
     reflects = total.light * per_light
     where = total.profile, float(np.hypot(*image.outline(spot)).min()), surroundings.boundary()
-
-    def floor_at(rel_sd: float) -> Estimate | None:
-        fit = _with_floor(where, surroundings, reflects, rel_sd)
-        floor = fit.estimate(lambda tail: tail.floor) if fit is not None and fit.chi2 <= _FITS else None
-        return floor if floor and abs(floor.value) > _FLOOR_SD * floor.sd else None
-
-    # How well the total tells the attenuation takes as long as the fit: asked only where there seems to be a floor.
-    return floor_at(ATTENUATION_REL_SD) and floor_at(surroundings.attenuation_rel_sd(reflects))
+    fit = _with_floor(where, surroundings, reflects)
+    floor = fit.estimate(lambda tail: tail.floor) if fit is not None and fit.chi2 <= _FITS else None
+    return floor if floor and abs(floor.value) > _FLOOR_SD * floor.sd else None
 
 
 def _with_floor(
-    where: tuple[RadialProfile, float, Boundary], surroundings: Surroundings, reflects: float, rel_sd: float
+    where: tuple[RadialProfile, float, Boundary], surroundings: Surroundings, reflects: float
 ) -> TailFit | None:
     """The tail over a floor, told apart by what the total says of the attenuation, as far as it does."""
+    rel_sd = surroundings.attenuation_rel_sd(reflects)
     attenuation = surroundings.attenuation_by_mfp(reflects) if np.isfinite(rel_sd) else None
     holder = surroundings.holder
     return fit_tail(*where, with_floor=True, attenuation=attenuation, attenuation_rel_sd=rel_sd, holder=holder)

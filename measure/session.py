@@ -8,6 +8,8 @@ from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
+from threadpoolctl import threadpool_limits
+
 import bssrdf
 from bssrdf.calib import Exposures, Surface
 from bssrdf.errors import InputError
@@ -50,6 +52,7 @@ class Measured:
     slice: Slice | None = None
 
 
+@threadpool_limits.wrap(limits=1, user_api="blas")  # small matrices: two threads take twenty times the processor time
 def measure_session(
     session: Session,
     *,

@@ -16,12 +16,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bssrdf.calib import least_squares, root
+from bssrdf.calib import least_squares
 from bssrdf.fit import HALF_SPACE, NEAR_WALL, Held
 from bssrdf.measure.holder import Holder
 from bssrdf.measure.profile import RadialProfile
 from bssrdf.session.records import Array
-from bssrdf.transport import decay_constant, half_space
+from bssrdf.transport import decay_constant, half_spaces
 from bssrdf.transport.exit_radiance import boundary_a, transmittance
 
 _INNER_SHARE = 0.35
@@ -42,7 +42,10 @@ _LONGEST = 1.0
 _ORDINATES = 16
 _LOG_LOSS = (-14.0, -0.5)
 """Range of ln(1 − α′) in which a total is looked up."""
-_CLOSE = 1e-6
+_DEGREE = 23
+"""Of the polynomial that stands for the totals there: 15 leaves 1e-6, 23 1e-7."""
+_LOOKED_UP = 2000
+"""Places between which totals are straight lines: 6e-6 of a loss."""
 _TOTALS = 41
 """Of half spaces in that range, between which those of a finite sample are interpolated."""
 _NOTHING_LEFT = 12.0
@@ -88,7 +91,7 @@ class Surroundings(NamedTuple):
             of_half_space = self.attenuation(total)
             return lambda mfp: of_half_space
         log_loss = np.linspace(*_LOG_LOSS, _TOTALS)
-        seen = np.array([self._seen(each) for each in log_loss])
+        seen = np.interp(log_loss, *self._totals())
         q = np.array([self._attenuation(np.exp(each)) for each in log_loss])
 
         def attenuation(mfp: float) -> float:
@@ -103,32 +106,40 @@ class Surroundings(NamedTuple):
         By the error of the form, and that of the total: the nearer to white, the less it tells of what little is lost.
         """
         brighter = total * (1 + _TOTAL_REL_SD)
-        if brighter >= self._seen(_LOG_LOSS[0]):
+        if brighter >= self._totals()[1][0]:
             return np.inf
         return float(np.hypot(ATTENUATION_REL_SD, np.log(self.attenuation(total) / self.attenuation(brighter))))
 
-    @functools.lru_cache(maxsize=32)  # noqa: B019 - a tuple of numbers, and few of them
     def loss(self, total: float) -> float:
         """1 − α′ of that half space; the least or most that is looked for where none has this total."""
+        log_loss, seen = self._totals()
+        if not seen[-1] < total < seen[0]:
+            return float(np.exp(_LOG_LOSS[0] if total > 0.5 else _LOG_LOSS[1]))
+        return float(np.exp(np.interp(-total, -seen, log_loss)))
 
-        def excess(log_loss: float) -> float:
-            return self._seen(log_loss) - total
-
-        low, high = _LOG_LOSS
-        if not excess(high) < 0 < excess(low):
-            return float(np.exp(low if total > 0.5 else high))
-        return float(np.exp(root(excess, low, high, _CLOSE)))
-
-    def _seen(self, log_loss: float) -> float:
-        """Total of a half space as this camera sees it."""
-        cosines = np.array([np.cos(np.radians(self.view_angle_deg))])
-        entering = float(transmittance(self.eta, np.cos(np.radians([self.incidence_deg])))[0])
-        seen = half_space(self._albedo(np.exp(log_loss)), self.g, self.eta, cosines, _ORDINATES).radiance[0]
-        return float(entering * seen)
+    def _totals(self) -> tuple[Array, Array]:
+        return _totals(self.eta, self.g, self.view_angle_deg, self.incidence_deg)
 
     def _albedo(self, loss: float) -> float:
-        scattering = (1 - loss) / (1 - self.g)
-        return float(scattering / (scattering + loss))
+        return float(_albedo(np.asarray(loss), self.g))
+
+
+def _albedo(loss: Array, g: float) -> Array:
+    scattering = (1 - loss) / (1 - g)
+    return scattering / (scattering + loss)
+
+
+@functools.lru_cache(maxsize=8)
+def _totals(eta: float, g: float, view_angle_deg: float, incidence_deg: float) -> tuple[Array, Array]:
+    """ln(1 − α′) rising, and the totals of such half spaces as a camera sees them: all solved at once."""
+    cosines = np.array([np.cos(np.radians(view_angle_deg))])
+    entering = float(transmittance(eta, np.cos(np.radians([incidence_deg])))[0])
+
+    def seen(log_loss: Array) -> Array:
+        return entering * half_spaces(_albedo(np.exp(log_loss), g), g, eta, cosines, _ORDINATES).radiance[:, 0]
+
+    log_loss = np.linspace(*_LOG_LOSS, _LOOKED_UP)
+    return log_loss, np.polynomial.Chebyshev.interpolate(seen, _DEGREE, domain=_LOG_LOSS)(log_loss)
 
 
 @dataclass(frozen=True)

@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 import pytest
-from scipy.optimize import brentq
 from scipy.optimize import least_squares as scipys
 from scipy.special import i0e
 
 from bssrdf.calib.beam_radius import scaled_i0
-from bssrdf.calib.few_parameters import least_squares, root
-from bssrdf.errors import BssrdfError
+from bssrdf.calib.few_parameters import least_squares
 
 
 def decay(seed: int):
@@ -50,23 +46,6 @@ def test_a_parameter_that_nothing_tells_does_no_harm() -> None:
     bounds = np.full(2, 4.0)
     found = least_squares(lambda p: np.array([p[0] - 1, 2 * p[0] - 2]), np.array([3.0, 2.0]), -bounds, bounds)
     np.testing.assert_allclose(found.x, [1, 2], rtol=1e-9)
-
-
-@pytest.mark.parametrize(
-    ("function", "low", "high"),
-    [
-        *((lambda x: float(np.exp(-x) - 0.3), *ends) for ends in [(-3.0, 5.0), (0.5, 40.0), (40.0, 0.5)]),
-        (lambda x: x**9 - 1e-6, 0.0, 10.0),  # all but flat at one end: a chord from there does not move
-        (lambda x: 1 - 1e-12 - float(np.exp(x)), -40.0, 3.0),
-    ],
-)
-def test_the_root_is_scipys(function: Callable[[float], float], low: float, high: float) -> None:
-    assert root(function, low, high, 1e-9) == pytest.approx(brentq(function, low, high), abs=1e-8)
-
-
-def test_without_a_change_of_sign_there_is_no_root() -> None:
-    with pytest.raises(BssrdfError, match="no sign changes"):
-        root(lambda x: x * x + 1, -1.0, 1.0, 1e-6)
 
 
 def test_the_bessel_function_of_a_spread_spot_is_scipys() -> None:

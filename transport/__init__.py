@@ -8,6 +8,7 @@ if TYPE_CHECKING:
     from bssrdf.transport.convention import camera_factor as camera_factor
     from bssrdf.transport.discrete_ordinates import decay_constant as decay_constant
     from bssrdf.transport.discrete_ordinates import half_space as half_space
+    from bssrdf.transport.discrete_ordinates import half_spaces as half_spaces
     from bssrdf.transport.engine import MIN_BATCHES as MIN_BATCHES
     from bssrdf.transport.engine import MonteCarloMedium as MonteCarloMedium
     from bssrdf.transport.engine import simulate as simulate
