@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from builders import seen_slice
+from builders import model_slice, seen_slice, slice_of
 
 from bssrdf.bench.trial_light import shipped
 from bssrdf.bench.trials import Drawn, slices_of
@@ -27,6 +27,7 @@ from bssrdf.transport.arrays import NUMPY, picked
 from bssrdf.transport.dipole import Medium, rd, total_r
 from bssrdf.transport.light import WhiteTable, coefficients
 from bssrdf.transport.white.grid import R_ZERO, V_MAX
+from bssrdf.transport.white.store import table_model
 
 PLAIN = Options("soft", scale_free=False, robust=False, window_mm=None, tables="shipped")
 
@@ -96,6 +97,17 @@ def test_jaxopt_finds_the_same_optimum_of_the_same_objective(x64: None) -> None:
     sigma_a, sigma_sp = (float(each[0, 0]) for each in coefficients(one.found.point.log_sigma, one.found.point.q))
     theirs = coefficients(np.asarray(found[0]), np.asarray(found[1]))
     assert theirs == pytest.approx((sigma_a, sigma_sp), rel=1e-6)
+
+
+def test_light_beyond_the_end_of_the_table_does_not_count() -> None:
+    within = model_slice(table_model(1.3, 0.0), 0.0001, 2.0, np.geomspace(2, 150, 40))
+    part, r_mm = within.channels["G"], np.array([202.0, 210.0]) / 2.0001
+    piece, elsewhere = (
+        slice_of(np.append(part.r_mm, r_mm), np.append(part.rd_per_mm2, [far, far]), total_r=within.total_r["G"], g=0.0)
+        for far in (1e-8, 3e-8)
+    )
+    one, other = fitted([piece, elsewhere]).found.point.log_sigma[:, 0]
+    assert one == pytest.approx(other, abs=1e-9)
 
 
 @pytest.mark.parametrize("name", ["Wholemilk R", "Skin1 G", "Potato B"])

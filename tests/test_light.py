@@ -88,3 +88,11 @@ def test_fresnel_in_numpy_is_fresnel_in_jax(eta: float, x64: None) -> None:
     np.testing.assert_allclose(ft(np, eta, mu), fresnel.fresnel_t(eta, jnp.asarray(mu)), rtol=1e-12, atol=1e-15)
     assert exit_norm(eta) == pytest.approx(float(fresnel.exit_norm(eta)), rel=1e-12)
     assert boundary_a(eta) == pytest.approx(float(fresnel.boundary_a(eta)), rel=1e-12)
+
+
+@pytest.mark.parametrize("g", [0.0, 0.8])
+def test_a_table_s_noise_has_no_step_along_the_albedo(g: float) -> None:
+    q = np.linspace(0.0, 1.6, 8001)[:, None]
+    for x in (0.5, 5.0, 50.0):
+        sd = table_of(table_model(1.3, g)).shape_sd(NUMPY, q, np.full_like(q, x))[:, 0]
+        assert np.abs(np.diff(np.log(sd))).max() < 0.01

@@ -159,7 +159,7 @@ class WhiteTable(NamedTuple):
     total_angles: Any
     name: str = "mc"
     q_max: float = float(np.sqrt(3) * Q_MAX)
-    window_mfp: tuple[float, float] = (0.0, R_MAX)
+    window_mfp: tuple[float, float] = (0.0, 0.95 * R_MAX)  # a fit's window fades out about its end
     relative_error: float = 0.003
     biased: bool = False
     exit_varies: bool = True
@@ -264,13 +264,14 @@ class WhiteTable(NamedTuple):
         return sum(float(b) * spline(e, self.total_angles[k][None], u)[0] for k, b in enumerate(mean))
 
     def shape_sd(self, e: Engine, q: Any, x: Any) -> Any:
-        """Of the light scattered twice or more, at the nearest albedo of the table; by all light."""
+        """Of the light scattered twice or more; by all light."""
         xp = e.xp
         aq = xp.minimum(xp.maximum(xp.abs(q), SMALLEST_Q), self.q_max)
-        rows, n = self.log_curve_sd.shape
-        row = xp.clip((_u(xp, aq)[0] * (rows - 1) + 0.5).astype(xp.int32), 0, rows - 1)
+        table = xp.asarray(self.log_curve_sd)
+        rows, n = table.shape
+        row, above = locate(xp, xp.minimum(_u(xp, aq)[0] * (rows - 1), rows - 1), rows - 1)
+        sd = table[row[:, 0]] + above * (table[row[:, 0] + 1] - table[row[:, 0]])
         at, f = locate(xp, xp.minimum(xp.log1p(x / R_ZERO) * ((n - 1) / V_MAX), n - 1), n - 1)
-        sd = xp.asarray(self.log_curve_sd)[row[:, 0]]
         (left,), (right,) = e.take(sd[:, None, :-1], at), e.take(sd[:, None, 1:], at)
         return left + f * (right - left)
 
