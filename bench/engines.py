@@ -14,12 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bssrdf.bench.bulk import CHANNELS, noisy_slices
-from bssrdf.fit import shipped_table
-from bssrdf.fit.batch import Fitted, fit_group
-from bssrdf.fit.compiled import settled
-from bssrdf.fit.jobs import Job, Options
-from bssrdf.fit.solve import Solution, settle, start
-from bssrdf.transport.arrays import NUMPY, picked
+from bssrdf.fit import Fitted, Job, Options, Solution, fit_group, searched, shipped_table
 from bssrdf.transport.light import coefficients
 
 Engine = Literal["NumPy", "float64", "float32"]
@@ -29,7 +24,7 @@ SINGLE_LOSES = 0.06
 """The share that it does not find, and says so: 781 of those, which are all of albedo 0.02 and one of 160 others."""
 _SOFT = Options("soft", scale_free=False, robust=False, window_mm=None, tables="shipped")
 BATCHES = (256, 2048, 16_384)
-"""Curves that go through together: 256 is what `fit` takes on a CPU, for its caches; a GPU wants more."""
+"""Curves that go through together: `fit` takes 100 to 650 on a CPU, for its caches; a GPU wants more."""
 Search = Callable[[slice], Solution]
 
 
@@ -79,7 +74,7 @@ def fitted(curves: int) -> Fitted:
 def search_of(ours: Fitted, engine: Engine, batch: int, platform: str | None) -> tuple[str, str, Search]:
     """What the engine is called, its device, and its search for some rows."""
     if engine == "NumPy":
-        return "NumPy, float64", f"{machine()} CPU", lambda rows: _by_numpy(ours, rows)
+        return "NumPy, float64", f"{machine()} CPU", lambda rows: searched(ours, rows)
     return f"JAX, {engine}", *_by_jax(ours, engine == "float32", batch, platform)
 
 
@@ -99,12 +94,6 @@ def _searched(ours: Fitted, batch: int, search: Search) -> list[Solution]:
     return [search(slice(at, at + batch)) for at in range(0, len(ours.jobs), batch)]
 
 
-def _by_numpy(ours: Fitted, rows: slice) -> Solution:
-    data = picked(ours.data, rows)
-    begun, _ = start(NUMPY, ours.plan, ours.model, data, 0)
-    return settle(NUMPY, ours.plan, ours.model, data, begun, ours.beside)
-
-
 def _by_jax(ours: Fitted, single: bool, batch: int, platform: str | None) -> tuple[str, Search]:
     import jax
 
@@ -112,7 +101,7 @@ def _by_jax(ours: Fitted, single: bool, batch: int, platform: str | None) -> tup
 
     def search(rows: slice) -> Solution:
         with jax.default_device(device):
-            return settled(ours.plan, ours.model, picked(ours.data, rows), ours.beside, batch, single=single)
+            return searched(ours, rows, compiled_for=batch, single=single)
 
     return f"{machine()} CPU" if device.platform == "cpu" else str(device.device_kind), search
 

@@ -74,6 +74,15 @@ def fit_group(
     return Fitted(jobs, options, plan, model, aside, data, found, judged, rival)
 
 
+def searched(fitted: Fitted, rows: slice, *, compiled_for: int | None = None, single: bool = False) -> Solution:
+    """The search for some rows from their first start alone, to compare engines: by NumPy, or by JAX `compiled_for` so
+    many rows, with `single` in float32."""
+    plan, model, data = fitted.plan, fitted.model, picked(fitted.data, rows)
+    if compiled_for:
+        return settled(plan, model, data, fitted.beside, compiled_for, single=single)
+    return settle(NUMPY, plan, model, data, start(NUMPY, plan, model, data, 0)[0], fitted.beside)
+
+
 def _best(
     plan: Plan, model: Light, data: Problem, aside: Neighbours, compiled_for: int | None
 ) -> tuple[Solution, Point]:

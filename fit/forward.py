@@ -8,14 +8,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from bssrdf.errors import InputError
-from bssrdf.fit.models import Making, table_of_medium
+from bssrdf.fit.models import SILENT, Making, table_of_medium
 from bssrdf.fit.observe import NEAREST_MFP
 from bssrdf.session.records import Slice
 from bssrdf.transport.arrays import NUMPY
 from bssrdf.transport.light import Light, dipole, shape_of
 
 Floats = NDArray[np.float64]
-SILENT: Making = Making()
 ETA_RANGE = (1.0, 3.0)
 """Of the tables that can be made."""
 

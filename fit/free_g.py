@@ -11,8 +11,8 @@ import numpy as np
 from bssrdf.errors import InputError
 from bssrdf.fit.batch import fit_group
 from bssrdf.fit.jobs import Job, groups_of
-from bssrdf.fit.models import Making, table_of_medium, tabulated
-from bssrdf.fit.run import SILENT, FitOptions
+from bssrdf.fit.models import SILENT, Making, table_of_medium, tabulated
+from bssrdf.fit.run import FitOptions
 from bssrdf.session.records import Slice
 
 GRID = (0.0, 0.35, 0.6, 0.75, 0.8, 0.9)

@@ -43,6 +43,9 @@ class Making(NamedTuple):
     progress: Progress | None = None
 
 
+SILENT: Making = Making()
+
+
 class Truth(NamedTuple):
     """A table that says how wrong the dipole is, with the dipole of the same index."""
 

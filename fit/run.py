@@ -16,6 +16,7 @@ from bssrdf.fit.models import (
     ASSUMED_G,
     DIPOLE_BEST,
     DIPOLE_SHARE,
+    SILENT,
     Making,
     ModelName,
     beam_of,
@@ -63,7 +64,6 @@ class FitOptions:
 
 
 DEFAULT = FitOptions()
-SILENT: Making = Making()
 
 
 def fit_slices(
