@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -19,6 +20,7 @@ _COMMENT = re.compile(rb"#[^\n]*")
 _BLOCK, _CARD = 2880, 80
 _MOST_CHANNELS = 4
 """An array that ends on an axis as short as that is one picture with channels; on a longer one, a stack."""
+_COLOURS = 3
 _FITS_TYPES = {8: ">u1", 16: ">i2", 32: ">i4", 64: ">i8", -32: ">f4", -64: ">f8"}
 
 
@@ -74,12 +76,23 @@ def read_npy(path: Path) -> list[RawFrame]:
     if not isinstance(data, np.ndarray) or data.dtype.kind not in "uif" or data.ndim not in (2, 3, 4) or not data.size:
         raise InputError(f"{path}: is not an array of numbers (h, w) or (h, w, 3); save one")
     is_one = data.ndim == 2 or (data.ndim == 3 and data.shape[2] <= _MOST_CHANNELS)
+    if data.ndim == 3 and not is_one:
+        _check_no_colours(path, data.shape)
     pages = [data] if is_one else list(data)
     return [_frame(_opaque(path, page), _container(page)) for page in pages]
 
 
 def _opaque(path: Path, page: NDArray[Any]) -> NDArray[Any]:
     return without_alpha(path, page) if page.ndim == 3 and page.shape[2] in (2, 4) else page
+
+
+def _check_no_colours(path: Path, axes: Sequence[int]) -> None:
+    """InputError for an array (pages, h, w) whose pages, or whose columns, may be colours."""
+    if axes[0] == _COLOURS or axes[2] <= _MOST_CHANNELS:
+        raise InputError(
+            f"{path}: holds an array {' x '.join(map(str, axes))}, whose three planes may be colours or frames; save "
+            "RGB as TIFF, or each frame as a file of its own"
+        )
 
 
 def read_fits(path: Path) -> list[RawFrame]:
@@ -106,6 +119,8 @@ def read_fits(path: Path) -> list[RawFrame]:
 def _fits_unit(path: Path, content: bytes, dtype: str, axes: list[int], keys: dict[str, Any]) -> list[RawFrame]:
     if len(axes) not in (2, 3):
         raise InputError(f"{path}: holds an array of {len(axes)} axes; save pictures of 2, or a stack of 3")
+    if len(axes) == 3:
+        _check_no_colours(path, axes)
     stored = _array(path, content, dtype, (axes[0] if len(axes) == 3 else 1, *axes[-2:]))
     zero, scale = _fits_real(keys.get("BZERO", 0)), _fits_real(keys.get("BSCALE", 1))
     if zero is None or not scale:

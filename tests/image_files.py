@@ -106,4 +106,5 @@ def with_thumbnail(path: Path) -> None:
 
 
 STACK = np.stack([DN, DN // 2, DN // 4])
+CUBE = np.stack([*STACK, DN // 8])
 RGBE = np.dstack([np.full((2, 3), value, np.uint8) for value in (128, 64, 32, 129)])

@@ -13,6 +13,7 @@ import pytest
 import tifffile
 from image_files import (
     CFA,
+    CUBE,
     DN,
     DNG,
     FLOATS,
@@ -138,25 +139,26 @@ def test_profile_that_says_linear_is_believed(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "write"),
+    ("name", "write", "pages"),
     [
-        ("a.tif", tiff(STACK, photometric="minisblack")),
-        ("a.npy", lambda path: np.save(path, STACK)),
-        ("a.fits", content(fits(STACK.astype(">i2")))),
+        ("a.tif", tiff(STACK, photometric="minisblack"), STACK),
+        ("a.npy", lambda path: np.save(path, CUBE), CUBE),
+        ("a.fits", content(fits(CUBE.astype(">i2"))), CUBE),
         (
             "a.fits",
             content(
                 fits(DN.astype(">i2")) + b"".join(fits(x.astype(">i2"), unit="XTENSION= 'IMAGE'") for x in STACK[1:])
             ),
+            STACK,
         ),
-        ("a.pgm", content(b"".join(b"P5 16 12 4095\n" + page.astype(">u2").tobytes() for page in STACK))),
+        ("a.pgm", content(b"".join(b"P5 16 12 4095\n" + page.astype(">u2").tobytes() for page in STACK)), STACK),
     ],
 )
 def test_a_stack_is_read_whole_and_never_taken_for_its_first_picture(
-    tmp_path: Path, name: str, write: Callable[[Path], None]
+    tmp_path: Path, name: str, write: Callable[[Path], None], pages: np.ndarray
 ) -> None:
     write(tmp_path / name)
-    np.testing.assert_array_equal([frame.data for frame in read_frames_of(tmp_path / name)], STACK)
+    np.testing.assert_array_equal([frame.data for frame in read_frames_of(tmp_path / name)], pages)
     with pytest.raises(InputError, match=r"holds several pictures; a stack is a bracket"):
         read_frame_file(tmp_path / name)
 

@@ -48,6 +48,9 @@ COLOURS = np.zeros((3, 256), np.uint16)
         ("a.dng", tiff(DN, photometric=32803, extratags=[*DNG, *CFA, (50711, "H", 1, 2, True)]), "set off"),
         ("a.fits", content(gzip.compress(fits(DN.astype(">i2")))), "packed archive"),
         ("a.npy", lambda path: np.save(path, DN[:0]), "not an array of numbers"),
+        ("a.npy", lambda path: np.save(path, np.moveaxis(RGB, 2, 0)), "three planes may be colours or frames"),
+        ("a.fits", content(fits(np.moveaxis(RGB, 2, 0).astype(">i2"))), "three planes may be colours or frames"),
+        ("a.fits", content(fits(RGB.astype(">i2"))), "three planes may be colours or frames"),
     ],
 )
 def test_what_is_not_light_is_refused_by_name(
