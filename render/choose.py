@@ -5,13 +5,15 @@ from __future__ import annotations
 import math
 from typing import Any
 
+import numpy as np
+
+from bssrdf.render.kernel import Floats, kernels, radii
 from bssrdf.render.material import RenderMaterial
 from bssrdf.render.plugins import Model
 from bssrdf.render.points.record import Method
 from bssrdf.render.scenes.record import Scene
 from bssrdf.render.surface_nets import body_size
-from bssrdf.transport import dipole, scoped_x64
-from bssrdf.transport.dipole import Medium
+from bssrdf.transport import nearest
 
 WIDE = 10.0
 """How many spreads a body must measure for R_d of a half space to stand for it under light that varies over it…"""
@@ -62,33 +64,26 @@ def choose_method(scene: Any) -> tuple[Method, str]:
 def _widest_spread(surface: Any) -> float:
     from bssrdf.render.surface import mean_coefficients
 
-    media = [Medium(a, sp, surface.eta) for a, sp in mean_coefficients(surface).T]
-    return max(_spread(medium) for medium in media)
+    sigma_a, sigma_sp = mean_coefficients(surface)
+    return max(_spreads(sigma_a, sigma_sp, surface.eta, surface.g))
 
 
 def spread_mm(material: RenderMaterial) -> tuple[float, ...]:
     """How far light spreads under the surface, by channel."""
-    return tuple(_spread(medium) for medium in _media(material))
+    return _spreads(np.array(material.sigma_a), np.array(material.sigma_sp), material.eta, material.g)
 
 
-def _media(material: RenderMaterial) -> list[Medium]:
-    return [Medium(a, sp, material.eta) for a, sp in zip(material.sigma_a, material.sigma_sp, strict=True)]
-
-
-@scoped_x64
-def _spread(medium: Medium) -> float:
-    sigma_tr = float(medium.sigma_tr)
-    return min(1 / sigma_tr if sigma_tr > 0 else math.inf, _holding_radius(medium))
-
-
-def _holding_radius(medium: Medium) -> float:
-    """The radius within which _HELD of R_d comes out, by bisection in its logarithm."""
-    beyond = (1 - _HELD) * float(dipole.total_r(medium))
-    low, high = 1e-3 / float(medium.sigma_tp), 1e4 / float(medium.sigma_tp)
-    for _ in range(30):
-        middle = math.sqrt(low * high)
-        low, high = (middle, high) if float(dipole.tail(medium, middle)) > beyond else (low, middle)
-    return high
+def _spreads(sigma_a: Floats, sigma_sp: Floats, eta: float, g: float) -> tuple[float, ...]:
+    """1/σtr, or where that is less the radius within which _HELD of R_d comes out, by channel."""
+    sigma_tp = sigma_a + sigma_sp
+    albedo = sigma_sp / sigma_tp
+    at_hand = nearest(eta, g)
+    table = kernels(at_hand.eta, at_hand.g, np.unique(albedo))
+    rows = np.searchsorted(table.albedo, albedo)
+    held = [np.interp(_HELD * table.total[row] / (2 * math.pi), table.inside[row, :, 0], radii()) for row in rows]
+    with np.errstate(divide="ignore"):
+        falls = 1 / np.sqrt(3 * sigma_a * sigma_tp)
+    return tuple(np.minimum(falls, held / sigma_tp).tolist())
 
 
 def remarks(scene: Scene) -> list[str]:

@@ -45,8 +45,8 @@ class Quality:
 
 
 QUALITIES = {
-    "draft": Quality(Goal(noise=0.06), light_samples=3, walks=8),
-    "final": Quality(Goal(noise=0.02), light_samples=8, walks=16),
+    "draft": Quality(Goal(noise=0.06), light_samples=2, walks=8),
+    "final": Quality(Goal(noise=0.02), light_samples=5, walks=16),
 }
 
 

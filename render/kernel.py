@@ -6,17 +6,13 @@ beside those of Monte Carlo, since JAX, which makes them, takes seconds to start
 
 from __future__ import annotations
 
-import hashlib
 import math
-import zipfile
 from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bssrdf import __version__
-from bssrdf.session import atomic_write
-from bssrdf.transport import cache_directory
+from bssrdf.render.kept import kept
 
 Floats = NDArray[np.float64]
 Kernel = Literal["table", "dipole"]
@@ -63,17 +59,8 @@ def cosines() -> Floats:
 
 def kernels(eta: float, g: float, albedo: Floats, kind: Kernel = "table") -> Kernels:
     """The tables for media of these reduced albedos, from the cache where they are in it."""
-    known = (_VERSION, __version__, kind, eta, g, *albedo.tolist())
-    path = cache_directory() / f"kernel-{hashlib.sha256(repr(known).encode()).hexdigest()[:24]}.npz"
-    try:
-        with np.load(path) as kept:
-            return Kernels(*(kept[name] for name in Kernels._fields))
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
-        made = _make(eta, g, albedo, kind)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with atomic_write(path) as part, part.open("wb") as file:
-        np.savez(file, **made._asdict())
-    return made
+    known = (_VERSION, kind, eta, g, *albedo.tolist())
+    return Kernels(**kept("kernel", known, lambda: _make(eta, g, albedo, kind)._asdict()))
 
 
 def _make(eta: float, g: float, albedo: Floats, kind: Kernel) -> Kernels:

@@ -83,9 +83,8 @@ class Media:
         self._rows = mi.UInt32(rows)
         crossed = [transmittance_table(surface.eta, surface.alpha) for surface in self.surfaces]
         self._transmittance = mi.Float(np.concatenate(crossed).astype(np.float32))
-        self._inversion = mi.Float(
-            np.concatenate([inversion_table(s.eta, s.g) for s in self.surfaces]).astype(np.float32)
-        )
+        inverted = [_inversion(surface) for surface in self.surfaces]
+        self._inversion = mi.Float(np.concatenate(inverted).astype(np.float32))
         lobes = [table.lobe * once for table, once in zip(self.tables, crossed, strict=True)]
         mu = cosines()
         norms = [2 * np.trapezoid(lobe * mu, mu, axis=1) for lobe in lobes]
@@ -228,6 +227,10 @@ def _tables(surface: MediumBoundary, kernel: Kernel) -> Kernels:
         albedo = np.unique(_albedo(surface))
     at_hand = nearest(surface.eta, surface.g) if kernel == "table" else surface
     return kernels(at_hand.eta, at_hand.g, albedo, kernel)
+
+
+def _inversion(surface: MediumBoundary) -> Floats:
+    return inversion_table(surface.eta, surface.g) if "reflectance" in surface.pair else np.zeros(INVERSION_SIZE)
 
 
 def _albedo(surface: MediumBoundary) -> Floats:

@@ -134,7 +134,6 @@ def read_surface(properties: Any) -> MediumBoundary:
     return surface
 
 
-@scoped_x64
 def coefficients(surface: MediumBoundary) -> Floats:
     """sigma_a and sigma_sp of an untextured surface in 1/scene unit, shape (2, channels)."""
     first, second = surface.pair.values()

@@ -73,7 +73,7 @@ class LightPlan:
     """Edges of triangles along the shortest 1/σt′, where a pixel is not larger."""
     per_pixel: float = 0.7
     """Edges at most along a pixel of the picture."""
-    light_samples: int = 8
+    light_samples: int = 5
     """Of the light that reaches each triangle."""
     opening: float = 0.6
     """Radius over distance below which many triangles count as one."""

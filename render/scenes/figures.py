@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import functools
+import inspect
 from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bssrdf.render.head import head_mesh
+from bssrdf.render import head, surface_nets
+from bssrdf.render.kept import kept
 from bssrdf.render.material import RenderMaterial
 from bssrdf.render.scenes.place import SKY, paint, panel, sky, table, wall
 from bssrdf.render.scenes.record import Body, Bump, Scene, Vector, Viewpoint
@@ -65,7 +67,9 @@ def _figure(height_mm: float) -> TriangleMesh:
 
 @functools.cache
 def _figure_of_one() -> TriangleMesh:
-    return head_mesh(1.0)
+    source = "".join(inspect.getsource(module) for module in (head, surface_nets))
+    made = kept("head", (source,), lambda: head.head_mesh(1.0)._asdict())
+    return surface_nets.TriangleMesh(**made)
 
 
 def _stand(mesh: TriangleMesh) -> tuple[TriangleMesh, float, At]:
