@@ -74,10 +74,10 @@ def test_fits_come_back_from_parquet_byte_for_byte(tmp_path: Path, monkeypatch: 
 
 
 def test_a_fit_does_not_depend_on_the_curves_beside_it(tmp_path: Path) -> None:
-    slices = {f"plain {seed}": plain((1.3, 1.5)[seed % 2], (None, 0.8)[seed % 2], seed=seed) for seed in range(4)}
-    slices |= {
-        f"filmed {at}": filmed(spot_mm=0.2 + 0.2 * (at % 2), first_mm=0.3 + 0.1 * at, seed=at) for at in range(4)
-    }
+    slices = {f"plain {seed}": plain((1.3, 1.5)[seed % 2], (None, 0.8)[seed % 2], seed=seed) for seed in range(2)}
+    for at in range(2):
+        seen = filmed(spot_mm=0.2 + 0.2 * (at % 2), first_mm=0.3 + 0.1 * at, seed=at)
+        slices[f"filmed {at}"] = replace(seen, total_r={"G": 0.45}, total_r_sd={"G": 0.01})
     source = bulk(tmp_path / "slices.parquet", slices)
     assert bssrdf("fit", source, "--out", tmp_path / "fits.parquet") == 0
     fits = {each.name: each.fit for each in read_fits_of(tmp_path / "fits.parquet")}

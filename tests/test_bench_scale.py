@@ -7,19 +7,38 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from builders import film, of_kinds
 
 from bssrdf.bench.scale import same_bits
 from bssrdf.cli import cli
 from bssrdf.commands.console import run
+from bssrdf.session.records import Camera, Session
 from bssrdf.transport import WhiteSamples, batches, merged
+
+RNG = np.random.default_rng(0)
+
+
+def small(path: Path, _: int) -> None:
+    """A session of few pixels in the place of the bench's, whose light takes seconds to draw."""
+    y, x = np.mgrid[:90, :120] - np.array([44.7, 61.2])[:, None, None]
+    r_mm = 0.1 * np.hypot(x, np.sqrt(2) * y)
+    tile = np.exp(-((r_mm / 0.6) ** 2))
+    sample = 0.5 * np.exp(-((r_mm / 0.8) ** 2)) + 0.02 * np.exp(-((r_mm / 2) ** 2))
+    session = Session(path, Camera("mono", 500, 16383))
+    film(session, of_kinds({"sample": sample, "reference": tile}, 1e7), [0.001 * 3**k for k in range(8)], RNG)
+    (path / "session.toml").write_text(
+        "[camera]\nlayout = 'mono'\nblack = 500\nwhite = 16383\n[material]\nname = 'wax'\neta = 1.4\n"
+        "[geometry]\nmm_per_px = 0.1\nview_angle_deg = 45.0\n[reference]\nname = 'tile'\nreflectance = [0.5]\n"
+    )
 
 
 def test_the_bench_of_scale_writes_its_scores_and_names_the_device(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     pytest.importorskip("distributed")
+    monkeypatch.setattr("bssrdf.bench.workers.write_large", small)
     out = tmp_path / "scale"
-    few = ["--slices", "2", "--slices", "4", "--files", "3", "--workers", "1", "--sessions", "1", "--rounds", "1"]
+    few = ["--slices", "2", "--slices", "4", "--files", "4", "--workers", "1", "--sessions", "1", "--rounds", "1"]
     assert run(cli, ["bench", "scale", *few, "--out", str(out)]) == 0
     scores = json.loads((out / "scale.json").read_text())
     assert [score["curves"] for score in scores["bulk"]] == [6, 12]
@@ -30,7 +49,7 @@ def test_the_bench_of_scale_writes_its_scores_and_names_the_device(
     assert one["sessions"] == 1
     assert len(one["batch_s"]) == len(one["plain_s"]) == 1
     said = capsys.readouterr().out
-    assert "3 slice.csv files: " in said
+    assert "4 slice.csv files: " in said
     assert "(1 rounds of 1) |" in said
     assert (out / "scale.png").stat().st_size > 10_000
 
