@@ -52,19 +52,36 @@ def camera(width: float) -> Any:
     return mi.load_dict({"type": "orthographic", "to_world": above, "film": film})
 
 
-def radiance(scene: Any, ray: Any, n: int, seed: int = 0, view: float = 2.0, **options: Any) -> tuple[Floats, Floats]:
-    """Mean over n samples of the rays, and its standard error, by channel; surfaces are fine within the view."""
+def prepared(scene: Any, view: float = 2.0, **options: Any) -> Any:
+    """An integrator that knows the light of the scene; surfaces are fine within the view."""
     integrator = mi.load_dict({"type": "bssrdf", **options})
     if hasattr(integrator, "prepare"):
         integrator.prepare(scene, camera(view))
+    return integrator
+
+
+def seen(integrator: Any, scene: Any, ray: Any, n: int, seed: int = 0) -> tuple[Floats, Floats]:
+    """Mean over n samples of the rays, and its standard error, by channel."""
     value, _, _ = integrator.sample(scene, sampler(n, seed), ray)
     values = np.array(value, np.float64)
     return values.mean(axis=1), values.std(axis=1) / math.sqrt(n)
 
 
+def radiance(scene: Any, ray: Any, n: int, seed: int = 0, view: float = 2.0, **options: Any) -> tuple[Floats, Floats]:
+    """`seen` by an integrator that is made for it."""
+    return seen(prepared(scene, view, **options), scene, ray, n, seed)
+
+
 def towards_origin(n: int, mu: float = VIEW) -> Any:
     direction = mi.Vector3f(math.sqrt(1 - mu * mu), 0, -mu)
     return mi.Ray3f(dr.zeros(mi.Point3f, n) - 5 * direction, direction)
+
+
+def towards_square(half: float, n: int, mu: float = VIEW) -> Any:
+    """Onto places all over a square about the origin."""
+    place = (2 * sampler(n, 5).next_2d() - 1) * half
+    direction = mi.Vector3f(math.sqrt(1 - mu * mu), 0, -mu)
+    return mi.Ray3f(mi.Point3f(place.x, place.y, 0) - 5 * direction, direction)
 
 
 def around(scene_radius: float, n: int, seed: int = 9) -> Any:
@@ -132,12 +149,12 @@ def across_spot(r_lo: float, r_hi: float, spot: float, log2_n: int = 17) -> Floa
     return np.hypot(r - offset * np.cos(math.tau * u[2]), offset * np.sin(math.tau * u[2]))
 
 
-def beam_reference(edges: Floats, spot: float) -> Floats:
+def beam_reference(edges: Floats, spot: float, medium: dict[str, float]) -> Floats:
     """R_d of the table, of the flux that entered, spread over the spot; mean over each annulus."""
     grid = np.geomspace(1e-3, 40, 2000)
-    profile = np.asarray(scoped_x64(table_model(MARBLE["eta"], 0.0).rd)(dipole.Medium(**MARBLE), grid))
+    profile = np.asarray(scoped_x64(table_model(medium["eta"], 0.0).rd)(dipole.Medium(**medium), grid))
     means = [
         np.exp(np.interp(np.log(across_spot(low, high, spot)), np.log(grid), np.log(profile))).mean()
         for low, high in itertools.pairwise(edges)
     ]
-    return float(fresnel_t(MARBLE["eta"], 1.0)) * np.array(means)
+    return float(fresnel_t(medium["eta"], 1.0)) * np.array(means)

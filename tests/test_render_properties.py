@@ -16,6 +16,7 @@ import mitsuba as mi
 from mitsuba_scenes import MARBLE, SKY, around, radiance, scene_of, towards_origin
 
 from bssrdf.render.points import prepare
+from bssrdf.render.points.record import BodySurface
 from bssrdf.render.surface import coefficients
 from bssrdf.transport import dipole, scoped_x64, table_model
 
@@ -102,3 +103,20 @@ def test_with_little_memory_a_picture_is_coarser_and_told_so(monkeypatch: pytest
     with pytest.warns(UserWarning, match="all there is room for"):
         value, _ = radiance(scene_of(MARBLE | {"scale": 100.0}, {"type": "sphere"}, sky=SKY), around(1.0, 64), 64)
     assert value[0] > 0.5
+
+
+def test_straight_lines_between_vertices_hold_the_light_of_a_curve() -> None:
+    """Of an exponential, whose triangles are 0.7 of its length wide."""
+    x, y = (0.7 * each.ravel() for each in np.meshgrid(np.arange(40.0), np.arange(20.0), indexing="ij"))
+    i, j = (each.ravel() for each in np.meshgrid(np.arange(39), np.arange(19), indexing="ij"))
+    a = 20 * i + j
+    faces = np.concatenate([np.stack([a, a + 20, a + 21], 1), np.stack([a, a + 21, a + 1], 1)])
+    places = np.stack([x, y, 0 * x], axis=1)
+    surface = BodySurface(places, np.tile([0.0, 0.0, 1.0], (800, 1)), np.zeros((800, 2)), faces)
+    fall = np.exp(-x)[:, None]
+    inner = faces[(places[faces][..., 1].min(axis=1) > 1) & (places[faces][..., 1].max(axis=1) < 12)]
+    strip = inner[(places[inner][..., 0].min(axis=1) > 1) & (places[inner][..., 0].max(axis=1) < 20)]
+    low, high = places[strip][..., 0].min(), places[strip][..., 0].max()
+    known = (math.exp(-low) - math.exp(-high)) / (high - low)
+    assert fall[strip].mean() > 1.035 * known
+    assert prepare._between_vertices(surface, fall)[strip].mean() == pytest.approx(known, rel=4e-3)

@@ -17,6 +17,10 @@ OUT_OF_SIGHT = 4.0
 """Edges of a mean free path that are out of sight are so much longer."""
 _PER_SPOT = 8.0
 """Edges along the radius of a beam's spot: its rim then holds a tenth of its light."""
+_GRADE = 6.0
+"""Edges grow by the distance from a spot over that: R_d falls as a power of it there…"""
+_FAR = 6.0
+"""…and within so many 1/σtr they are half as long as that: straight lines then hold its light to a percent."""
 _BACK = -0.15
 """Cosine to the viewer of what is still taken to be in sight, for normals are smoothed."""
 _GRID = 24
@@ -31,9 +35,9 @@ class InView(NamedTuple):
 
 
 def target_edge(
-    mean_free_path: float, sensor: Any | None, spots: list[tuple[Floats, float]], plan: LightPlan
+    mean_free_path: float, fall: float, sensor: Any | None, spots: list[tuple[Floats, float]], plan: LightPlan
 ) -> Target:
-    """Rule for a body of that 1/σt′; `spots` are centres and radii of beams on it."""
+    """Rule for a body of that 1/σt′, where light falls by 1/e over `fall`; `spots` are centres and radii of beams."""
     along = mean_free_path / plan.per_mean_free_path
     see = None if sensor is None else _camera(sensor)
 
@@ -45,7 +49,9 @@ def target_edge(
             edge = np.where(sight.facing > _BACK, fine, np.maximum(fine, OUT_OF_SIGHT * along)) + sight.outside / 4
         for centre, radius in spots:
             beyond = np.maximum(np.linalg.norm(places - centre, axis=1) - 1.3 * radius, 0)
-            edge = np.minimum(edge, radius / _PER_SPOT + beyond / 3)
+            rim = radius / _PER_SPOT
+            near = np.where(beyond < _FAR * fall, max(fall / 2, rim), np.inf)
+            edge = np.minimum(edge, np.minimum(rim + beyond / _GRADE, near))
         return edge
 
     return target

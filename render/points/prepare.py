@@ -74,7 +74,9 @@ def _refined(scene: Any, shape: Any, media: Media, sensor: Any | None, plan: Lig
     optics = _optics(media, shape, surface)
     lengths = 1 / np.maximum(optics.sigma_tp.mean(axis=0), 1e-30)
     path = float(np.sqrt(lengths.min() * lengths.mean()))
-    target = target_edge(path, sensor, spots_on(scene, shape.bsdf()), plan)
+    decay = np.sqrt(3 * (1 - optics.albedo)) * optics.sigma_tp
+    fall = float(1 / np.maximum(decay.mean(), 1e-30))
+    target = target_edge(path, fall, sensor, spots_on(scene, shape.bsdf()), plan)
     return _ordered(refine(surface, target, min(plan.most, _free_bytes() // _BYTES), shape.id()))
 
 
@@ -139,8 +141,30 @@ def _leave(media: Media, body: _LitBody, bodies: list[_LitBody], viewer: Viewer 
     exitance = _by_points(media, body, same, optics, plan)
     if plan.method == "walks":
         exitance = _by_walks(media, body, same, optics, exitance, viewer, plan)
-    over = (exitance / np.maximum(optics.total, 1e-30)).astype(np.float32)
+    over = _between_vertices(body.surface, exitance / np.maximum(optics.total, 1e-30)).astype(np.float32)
     body.mesh.add_attribute(EXITANCE, over.shape[1], mi.Float(over.ravel()))
+
+
+def _between_vertices(surface: BodySurface, values: Floats) -> Floats:
+    """Values at vertices, (n, channels), between which straight lines hold the light of the curve through `values`.
+
+    A straight line lies above a light that falls exponentially. In the mean over triangles it does so by half of what
+    values rise when they are averaged by hat functions; none leaves the range of its neighbours.
+    """
+    first, place = surface.places()
+    of_place, corners = values[first], place[surface.faces]
+    third = surface.triangle_areas() / 3
+    around = np.maximum(np.bincount(corners.ravel(), np.repeat(third, 3), len(first)), 1e-300)
+    changed = np.empty_like(of_place)
+    for channel, value in enumerate(of_place.T):
+        at = value[corners]
+        rise = (at.sum(axis=1, keepdims=True) - 3 * at) / 4
+        mean = np.bincount(corners.ravel(), (rise * third[:, None]).ravel(), len(first)) / around
+        least, most = value.copy(), value.copy()
+        np.minimum.at(least, corners.ravel(), np.repeat(at.min(axis=1), 3))
+        np.maximum.at(most, corners.ravel(), np.repeat(at.max(axis=1), 3))
+        changed[:, channel] = np.clip(value - mean / 2, least, most) - value
+    return np.maximum(values + changed[place], 0)
 
 
 def _by_points(media: Media, body: _LitBody, same: list[_LitBody], optics: _Coefficients, plan: LightPlan) -> Floats:
