@@ -3,8 +3,9 @@
 `register` makes three plugins known, once a vectorised variant is set (`variant.use_variant`):
 
 - BSDF `bssrdf_medium`: a surface with light under it. `eta` (inside over outside) is required; `sigma_a` and `sigma_sp`
-  [1/scene unit], or `reflectance` and `mean_free_path` (1/σt′) in their place, each a number, a colour or a texture;
-  `scale` multiplies both sigmas; `g`; `alpha` for GGX slopes; `bump` (a texture of displacements) with `bump_scale`.
+  [1/scene unit], or `reflectance` (R of the Monte Carlo table) and `mean_free_path` (1/σt′) in their place, each a
+  number, a colour or a texture; `scale` multiplies both sigmas; `g`; `alpha` for GGX slopes; `bump` (a texture of
+  displacements) with `bump_scale`.
   All shapes that share one such BSDF are one body. To Mitsuba's own integrators it is a Lambertian surface.
 - Integrator `bssrdf`: finds the light under all surfaces before it draws (`bssrdf.render.points`). `kernel` ("table" or
   "dipole"), `method` ("points" or "walks"), `light_samples`, `walks`, `seed`; `terms` ("diffusion,single,specular") and

@@ -26,6 +26,7 @@ from mitsuba_scenes import (
     plane,
     prepared,
     radiance,
+    sampler,
     scene_of,
     towards_origin,
     towards_square,
@@ -147,6 +148,23 @@ def test_paper_leaves_the_exit_lobe_without_its_norm() -> None:
         for paper in (False, True)
     )
     assert paper / ours == pytest.approx(float(exit_norm(MARBLE["eta"])), rel=1e-4)
+
+
+@pytest.mark.parametrize(("bright", "dark"), [(0.01, 0.2), (0.002, 0.05)])
+def test_each_half_of_a_two_tone_surface_gives_back_its_own_total(bright: float, dark: float) -> None:
+    """Of light that enters along the normal, with R_d of the medium under the place where it leaves."""
+    tones = np.repeat(np.float32([bright, dark]), 32).reshape(1, 64, 1)
+    texture = {"type": "bitmap", "bitmap": mi.Bitmap(tones.repeat(2, axis=0)), "raw": True, "filter_type": "nearest"}
+    sun = {"type": "directional", "direction": [0, 0, -1], "irradiance": 1.0}
+    scene = scene_of({"sigma_a": texture, "sigma_sp": 1.0, "eta": 1.3}, plane(60.0), sun=sun)
+    integrator, n = prepared(scene, view=40.0), 1 << 16
+    for side, sigma_a in ((-1, bright), (1, dark)):
+        numbers = sampler(n, 3)
+        place, out = numbers.next_2d(), mi.warp.square_to_cosine_hemisphere(numbers.next_2d())
+        ray = mi.Ray3f(mi.Point3f(side * 20 * place.x, 30 * place.y - 15, 0) + 0.01 * out, -out)
+        value, _ = seen_by(integrator, scene, ray, n)
+        total = float(scoped_x64(table_model(1.3, 0.0).total)(dipole.Medium(sigma_a, 1.0, 1.3)))
+        assert math.pi * value[0] == pytest.approx(total * float(fresnel_t(1.3, 1.0)), rel=0.01)
 
 
 # Light sampling
