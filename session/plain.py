@@ -38,8 +38,14 @@ def _key(key: Any) -> str:
     return key if isinstance(key, str) else repr(float(key))
 
 
+def _origin(kind: Any) -> Any:
+    """The class behind a generic; of NDArray too, which from NumPy 2.5 on is an alias for one."""
+    origin = get_origin(kind)
+    return get_origin(origin.__value__) if hasattr(origin, "__value__") else origin
+
+
 def _of(kind: Any, value: Any) -> Any:
-    origin, arguments = get_origin(kind), get_args(kind)
+    origin, arguments = _origin(kind), get_args(kind)
     if origin in (Union, types.UnionType):
         if value is None or isinstance(value, tuple(each for each in arguments if isinstance(each, type))):
             return value

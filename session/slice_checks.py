@@ -49,7 +49,7 @@ def check_size(name: str, values: Any, written: Any, points: Places) -> None:
     finite = np.isfinite(values)
     if not finite.all():
         empty = np.isnan(values) if name in MAY_BE_EMPTY else False
-        points.refuse(~finite & ~empty, name, written, "must be a finite number")
+        points.refuse(~(finite | empty), name, written, "must be a finite number")
     size = np.abs(values)
     limits = f"is out of reach: give 0, or a size from {LEAST:g} to {MOST:g}"
     points.refuse(((size > MOST) | (size < LEAST)) & (size != 0), name, written, limits)
