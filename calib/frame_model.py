@@ -119,12 +119,17 @@ def _lamp_of_kind(frames: Sequence[Exposed], solution: FrameSolution) -> Array:
     """Error of the light that all frames of a kind have in common, by frame.
 
     Where the lamp changed within a bracket, any of its frames may have the light of the other kind's bracket: half
-    the range of what was found, of all kinds together, since two brackets cannot tell which of them it was.
+    the range of what was found, of all kinds together, since two brackets cannot tell which of them it was; less what
+    noise alone would feign.
     """
     lamp = solution.maps.names == "lamp"
-    own = solution.maps.scale[:, lamp] @ solution.theta[lamp]
     kinds = np.array([frame.kind for frame in frames])
-    ranges = {kind: float(np.ptp(own[kinds == kind])) for kind in set(kinds.tolist())}
+    same = _same_kind(frames)
+    about_mean = (np.eye(len(frames)) - same / same.sum(axis=1)) @ solution.maps.scale[:, lamp]
+    own = about_mean @ solution.theta[lamp]
+    noise = about_mean @ solution.by_noise[np.ix_(lamp, lamp)] @ about_mean.T
+    clear = np.sqrt(max(1 - np.trace(noise) / max(float(own @ own), 1e-300), 0.0))
+    ranges = {kind: clear * float(np.ptp(own[kinds == kind])) for kind in set(kinds.tolist())}
     return np.array([np.sqrt(ranges[kind] * sum(ranges.values())) / 2 for kind in kinds.tolist()])
 
 

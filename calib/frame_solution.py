@@ -82,6 +82,8 @@ class FrameSolution(NamedTuple):
     maps: FrameMaps
     theta: Array
     covariance: Array
+    by_noise: Array
+    """Covariance of `theta` over repeated comparisons of the same frames."""
     extra_var: float
     """What the comparisons need beyond their own errors, relative."""
     evidence: float
@@ -194,10 +196,11 @@ def solved(maps: FrameMaps, pairs: Pairs, first: dict[str, Array], span_dn: floa
     fit = float(np.sum(weight * left**2) + np.sum((theta / prior) ** 2))
     volume = float(np.linalg.slogdet(covariance)[1] - np.sum(np.log(prior**2)))
     evidence = 0.5 * (volume - fit + float(np.sum(np.log(weight))))
+    by_noise = covariance @ normal @ covariance
     if common is not None:  # what comparisons share makes the steps of a chain err in opposite ways
         by_log = (covariance @ (design.T * weight)) * np.sqrt(var)
         covariance = covariance + by_log @ common @ by_log.T
-    return FrameSolution(maps, theta, covariance, extra, evidence)
+    return FrameSolution(maps, theta, covariance, by_noise, extra, evidence)
 
 
 def further_var(square: Array, var: Array, freedom: float) -> float:
