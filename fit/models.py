@@ -105,7 +105,8 @@ def truth_of(piece: Slice, policy: Policy, making: Making) -> Truth | None:
 
 @lru_cache(maxsize=64)
 def _table(eta: float, g: float, making: Making, beam: Incidence = NORMAL) -> WhiteTable:
-    table = table_of(table_model(eta, g, beam=beam, announce=making.announce, progress=making.progress))
+    made = table_model(eta, g, beam=beam, announce=making.announce, progress=making.progress)
+    table = table_of(made)._replace(sin_beam=beam.sine / eta)
     coarse = place(eta, g, beam=beam).origin == "shipped" and not tabulated(eta, g)
     return table._replace(relative_error=COARSE_ERROR, exit_error=COARSE_EXIT) if coarse else table
 

@@ -93,3 +93,23 @@ def test_a_camera_along_the_normal_has_no_side() -> None:
     for fit in fits_of(oblique_slices(light, 9.0, "perpendicular", 4)[:2]):
         assert "side_unknown" not in fit.flags
         assert "side" not in fit.budget["sigma_sp"]
+
+
+def test_light_scattered_once_lies_along_the_beam_of_a_camera_at_the_normal() -> None:
+    """In a medium so dark that next to nothing is scattered twice."""
+    m, beam = SampleMedium(5.0, 0.2, 1.33, 0.0), 45.0
+    [light] = oblique_lights(m, beam, (0.0,), range(4), photons=100_000)
+    sine = float(np.sin(np.radians(beam)))
+    table = shipped_table(m.eta, m.g)._replace(sin_beam=sine / m.eta)
+    log_sigma, q = (np.full((1, 1), each) for each in shape_of(m.sigma_a, m.sigma_sp))
+    middle = np.sqrt(light.r_edges_mm[1:] * light.r_edges_mm[:-1])[None]
+    once = np.exp(2 * log_sigma) * table._first_radiance(NUMPY, q, np.exp(log_sigma) * middle, 1.0)[0]
+    entering = float(transmittance(m.eta, np.cos(np.radians(beam))))
+    seen, near = light.around.mean(axis=0) / entering, slice(0, 24)
+    assert np.median(seen[near] / once[0, near]) == pytest.approx(1.03, abs=0.05)
+    slopes = table._first_radiance(NUMPY, q, np.exp(log_sigma) * middle, 0.8)
+    for k, (dx, dq) in enumerate(((1e-5, 0.0), (0.0, 1e-5)), start=1):
+        ahead, back = (
+            table._first_radiance(NUMPY, q + s * dq, np.exp(log_sigma + s * dx) * middle, 0.8)[0] for s in (1, -1)
+        )
+        np.testing.assert_allclose(slopes[k], (ahead - back) / 2e-5, rtol=1e-5, atol=1e-9)

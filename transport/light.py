@@ -165,6 +165,8 @@ class WhiteTable(NamedTuple):
     exit_varies: bool = True
     exit_error: float = 0.005
     exit_error_mfp: float = 0.008  # docs/white-tables.md
+    sin_beam: float = 0.0
+    """Of the beam's angle to the normal, inside."""
 
     def look(self, e: Engine, q: Any, x: Any) -> Look:
         return _added(self._multiple(e, q, x), self._first(e, q, x))
@@ -246,6 +248,8 @@ class WhiteTable(NamedTuple):
 
     def _first_radiance(self, e: Engine, q: Any, x: Any, mu: float) -> Look:
         """π L⁽¹⁾, the mean over all azimuths; see `single.first_order_bin_average` for the geometry."""
+        if self.sin_beam > 0:
+            return self._first_of_oblique(e, q, x, mu)
         xp = e.xp
         aq = xp.maximum(xp.abs(q), SMALLEST_Q)
         s, s_q, t, t_q = self._scatter(aq)
@@ -257,6 +261,27 @@ class WhiteTable(NamedTuple):
         out = phase * transmittance(np, self.eta, mu) / safe
         value = s * out * xp.exp(-per_x * x) / (2 * self.eta * x)
         return value, value * (-1 - per_x * x), xp.sign(q) * value * (s_q / s - per_x * x * t_q / t)
+
+    def _first_of_oblique(self, e: Engine, q: Any, x: Any, mu: float) -> Look:
+        """The same of an oblique beam, over the camera's azimuths ψ too: scattered after a path t, light leaves at
+        t V(ψ), V² = s² + 2 s c τ cos ψ + c² τ², s and c of the beam inside and τ the tangent of the camera's angle."""
+        xp = e.xp
+        aq = xp.maximum(xp.abs(q), SMALLEST_Q)
+        s, s_q, t, t_q = self._scatter(aq)
+        sine, beam = float(np.sqrt(1 - mu * mu)) / self.eta, self.sin_beam
+        inside, down = float(np.sqrt(1 - sine * sine)), float(np.sqrt(1 - beam * beam))
+        value = by_x = by_q = 0.0
+        for turn in np.cos((np.arange(N_TURNS) + 0.5) * np.pi / N_TURNS).tolist():
+            tangent = down * sine / inside
+            reach = float(np.sqrt(beam * beam + 2 * beam * tangent * turn + tangent * tangent))
+            cos_theta = beam * sine * turn - down * inside
+            phase = (1 - self.g**2) / (4 * np.pi) * (1 + self.g**2 - 2 * self.g * cos_theta) ** -1.5
+            out = phase * transmittance(np, self.eta, mu) / (2 * self.eta**2 * inside * reach * N_TURNS)
+            per_x = t * (1 + down / inside) / reach
+            part = s * out * xp.exp(-per_x * x) / x
+            value, by_x = value + part, by_x + part * (-1 - per_x * x)
+            by_q = by_q + part * (s_q / s - per_x * x * t_q / t)
+        return value, by_x, xp.sign(q) * by_q
 
     def total_radiance_factor(self, e: Engine, q: Any, mu: float) -> Any:
         u, _ = _u(e.xp, e.xp.maximum(e.xp.abs(q), SMALLEST_Q))
@@ -276,6 +301,8 @@ class WhiteTable(NamedTuple):
         return left + f * (right - left)
 
 
+N_TURNS = 24
+"""Azimuths of a camera about an oblique beam, over half a turn."""
 KNOT_STEP = float(V_MAX) / 46
 """Between neighbouring knots of the table's curve in ln(x + R_ZERO): their Monte Carlo errors are independent."""
 
