@@ -47,8 +47,8 @@ POLISHED = {"type": "plastic", "int_ior": 1.5, "diffuse_reflectance": rgb(0.035,
 
 
 def sky(radiance: float) -> Plugin:
-    """Light from everywhere."""
-    return {"type": "constant", "radiance": rgb(radiance)}
+    """Light from everywhere: paths meet it anyway, so that lamps are looked at more often."""
+    return {"type": "constant", "radiance": rgb(radiance), "sampling_weight": 0.15}
 
 
 def panel(
