@@ -14,7 +14,7 @@ from bssrdf.fit.finite import q_of_sample, scanned
 from bssrdf.fit.laying import answering, costly, curve, lay, lay_plainly, look
 from bssrdf.fit.layout import Total
 from bssrdf.fit.problem import Laid, Looked, Neighbours, Plan, Point, Problem, System, Weights, held_any
-from bssrdf.fit.terms import cost_at, elimination, holding_sigma_a, keeping, meeting, system, totals_of, weigh
+from bssrdf.fit.terms import cost_at, elimination, holding_sigma_a, keeping, meeting, solved, system, totals_of, weigh
 from bssrdf.transport import R_MAX
 from bssrdf.transport.arrays import Engine
 from bssrdf.transport.finite import Sample
@@ -237,8 +237,8 @@ def marginal(e: Engine, full: System, columns: tuple[int, ...], keeps: tuple[Any
     g_rest, h_rest, cross = gradient[:, 3:], matrix[:, 3:, 3:], matrix[:, 3:][:, :, free]
     if not rest.size:
         return Marginal(cost, g, h, g_rest, cross, keeps)
-    solved = xp.linalg.solve(h_rest, xp.concatenate([g_rest[:, :, None], cross], axis=2))
-    errors, answer = solved[:, :, 0], solved[:, :, 1:]
+    both = solved(xp, h_rest, xp.concatenate([g_rest[:, :, None], cross], axis=2))
+    errors, answer = both[:, :, 0], both[:, :, 1:]
     turn = xp.swapaxes(cross, 1, 2)
     return Marginal(
         cost=cost - (g_rest * errors).sum(1),
