@@ -37,9 +37,23 @@ def tile(r_mm):
 
 
 def write_session(
-    path: Path, *, seed=0, sample=falloff, reference=tile, layout="RGGB", shape=SHAPE, e_per_s=None, sd=0.0049
+    path: Path,
+    *,
+    seed=0,
+    sample=falloff,
+    reference=tile,
+    layout="RGGB",
+    shape=SHAPE,
+    e_per_s=None,
+    sd=0.0049,
+    aside=(0.0, 0.0),
 ):
-    pictures = {"sample": picture(sample, shape=shape), "reference": picture(reference, (80, 60), shape)}
+    """`aside`: where the spots fall, in pixels from where they would."""
+    dx, dy = aside
+    pictures = {
+        "sample": picture(sample, (82.3 + dx, 57.6 + dy), shape),
+        "reference": picture(reference, (80 + dx, 60 + dy), shape),
+    }
     e_per_s = e_per_s or 0.8 * (WHITE - BLACK) * GAIN / EXPOSURES_S[0] / max(p.max() for p in pictures.values())
     session = Session(
         path,
