@@ -20,7 +20,8 @@ from bssrdf.transport.finite import (
     top_of,
     total_ratio,
 )
-from bssrdf.transport.light import SMALLEST_Q, Light, Look, root_of_total
+from bssrdf.transport.light import SMALLEST_Q, Light, Look
+from bssrdf.transport.q_root import root_of_total
 from bssrdf.transport.slab import fine, rough
 
 CURVE_OFF = 0.015

@@ -18,7 +18,8 @@ from bssrdf.fit.terms import cost_at, elimination, holding_sigma_a, keeping, mee
 from bssrdf.transport import R_MAX
 from bssrdf.transport.arrays import Engine
 from bssrdf.transport.finite import Sample
-from bssrdf.transport.light import Light, q_of_total
+from bssrdf.transport.light import Light
+from bssrdf.transport.q_root import q_of_total
 
 MAX_STEPS = 40
 START_STEPS = 15

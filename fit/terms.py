@@ -16,7 +16,8 @@ from bssrdf.fit.layout import Curves
 from bssrdf.fit.observe import exit_rel_sd
 from bssrdf.fit.problem import Gaps, Laid, Looked, Plan, Point, Problem, System, Weights
 from bssrdf.transport.arrays import Engine
-from bssrdf.transport.light import Light, q_of_total
+from bssrdf.transport.light import Light
+from bssrdf.transport.q_root import q_of_total
 
 HUBER = 1.345
 """Standard deviations from which on a residual counts linearly: 95 % efficient on normal noise (Huber 1981)."""

@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 from bssrdf.fit.batch import Fitted
 from bssrdf.fit.intervals import Profile
 from bssrdf.fit.jobs import Job
-from bssrdf.fit.layout import camera_factor, median_of
+from bssrdf.fit.layout import camera_factor
 from bssrdf.fit.models import OBLIQUE_DEG, is_clamped
 from bssrdf.fit.neighbours import Bias, to_log
+from bssrdf.fit.outliers import has_outliers
 from bssrdf.fit.sample_verdict import InSample, in_sample, thin_rows
 from bssrdf.session.flags import Flag
 from bssrdf.session.records import ChannelFit, Slice, Status
@@ -41,10 +42,6 @@ TWO_MEDIA = 2.0
 """Ratio of σs′ or σa between two optima that fit alike, beyond which one interval for both would say nothing."""
 BIAS_ROOM = 1.5
 """The dipole's bias is known at the biased medium: it may be this much larger at the true one."""
-NEIGHBOURS = 5
-OUTLIER = 6.0
-"""Standard deviations from the median of NEIGHBOURS radii."""
-FEW_OUTLIERS = 0.2
 LEAST_LIGHT = 1e-4
 """Of R; the light beyond the innermost radii of an opaque material may be this little."""
 MOST_LIGHT = 2.0
@@ -342,7 +339,7 @@ def _held(fitted: Fitted, extra: Extra, answer: _Answer, used: _Used) -> dict[st
         Flag.POOR_FIT: known & (judged.chi2 > POOR_CHI2),
         Flag.POOR_FIT_RUNS: known & (judged.runs_z > POOR_RUNS),
         Flag.ROBUST: plan.robust,
-        Flag.ROBUST_ADVISED: known & (not plan.robust) & _outliers(fitted),
+        Flag.ROBUST_ADVISED: known & (not plan.robust) & has_outliers(fitted, judged.chi2 > POOR_CHI2),
         Flag.SCALE_FREE: plan.scale_free,
         Flag.SCALE_SD_UNKNOWN: [any(p.scale_rel_sd is None for p in job.pieces) for job in jobs],
         Flag.SCALE_SUSPECT: (not plan.scale_free) & ~_within_reason(fitted, totals),
@@ -359,37 +356,6 @@ def _held(fitted: Fitted, extra: Extra, answer: _Answer, used: _Used) -> dict[st
         Flag.WINDOW_SHORT: used.window[:, 1] * np.maximum(q, 0.0) * sigma_tp < 1,
     }  # fmt: skip
     return {name: np.asarray(holds, bool) for name, holds in found.items()}
-
-
-def _outliers(fitted: Fitted) -> Bools:
-    """Rows where a few radii lie far from their neighbours, which all follow one another."""
-    found = np.zeros(len(fitted.jobs), bool)
-    rows = np.flatnonzero(fitted.judged.chi2 > POOR_CHI2)
-    if not rows.size:
-        return found
-    ease = fitted.found.ease[rows, None]
-    away = np.concatenate(
-        [
-            _from_neighbours((mean[rows] - value[rows]) * np.sqrt(mass[rows] * ease), mass[rows] > 0)
-            for mass, mean, (value, _, _) in zip(*fitted.found.weights, fitted.judged.seen.curves, strict=True)
-        ],
-        axis=1,
-    )
-    counts = ~np.isnan(away)
-    few = (away > OUTLIER).sum(axis=1) < FEW_OUTLIERS * counts.sum(axis=1)
-    found[rows] = (away > OUTLIER).any(axis=1) & few & (median_of(away, counts) < OUTLIER / 3)
-    return found
-
-
-def _from_neighbours(misses: Floats, counts: Bools) -> Floats:
-    """How far each miss [sd] lies from the median of those around it, in order of radius; NaN where none is."""
-    n = counts.sum(axis=1, keepdims=True)
-    ordered = np.take_along_axis(misses, np.argsort(~counts, axis=1, kind="stable"), axis=1)
-    at = np.abs(np.arange(-(NEIGHBOURS // 2), misses.shape[1] + NEIGHBOURS // 2))
-    at = np.clip(np.where(at < n, at, 2 * (n - 1) - at), 0, None)  # reflected at either end
-    around = np.lib.stride_tricks.sliding_window_view(np.take_along_axis(ordered, at, axis=1), NEIGHBOURS, axis=1)
-    away = np.abs(ordered - np.sort(around, axis=2)[..., NEIGHBOURS // 2])
-    return np.where((n > NEIGHBOURS) & (np.arange(misses.shape[1]) < n), away, NAN)
 
 
 def _within_reason(fitted: Fitted, totals: Floats) -> Bools:

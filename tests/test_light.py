@@ -13,8 +13,9 @@ from bssrdf.transport import fresnel
 from bssrdf.transport.arrays import NUMPY, JaxEngine
 from bssrdf.transport.dipole import Medium
 from bssrdf.transport.forward import Azimuths, DipoleModel
-from bssrdf.transport.light import Light, boundary_a, coefficients, dipole, exit_norm, q_of_total, shape_of, table_of
+from bssrdf.transport.light import Light, boundary_a, coefficients, dipole, exit_norm, shape_of, table_of
 from bssrdf.transport.light import transmittance as ft
+from bssrdf.transport.q_root import q_of_total
 from bssrdf.transport.white.store import table_model
 
 MODELS = {
