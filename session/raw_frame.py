@@ -122,8 +122,13 @@ def real(value: Any) -> float | None:
 
 
 def positive(number: float | None) -> float | None:
-    """The number where it is above 0, as the decimal number that a float32 stood for."""
-    return float(str(np.float32(number))) if number is not None and 0 < number < math.inf else None
+    """The number where it is above 0, as the decimal number that a float32 stood for.
+
+    Not by `str`, which libraries shorten for all (colour sets NumPy's printing to that of 1.13).
+    """
+    if number is None or not 0 < number < math.inf:
+        return None
+    return float(np.format_float_scientific(np.float32(number), unique=True))
 
 
 def label(text: Any) -> str | None:

@@ -19,6 +19,7 @@ from bssrdf.session.fit_json import read_fit
 from bssrdf.session.frame_files import read_card, read_frame_file, read_linear_image
 from bssrdf.session.frames_csv import read_frames
 from bssrdf.session.hdr_image import read_hdr_exr, write_hdr_exr
+from bssrdf.session.raw_frame import positive
 from bssrdf.session.session_toml import read_session, write_template
 from bssrdf.session.slice_csv import read_slice
 
@@ -303,3 +304,8 @@ def test_truncated_image_is_refused_without_noise(
         with pytest.raises(InputError, match=name):
             read(tmp_path / name)
     assert capfd.readouterr() == ("", "")
+
+
+def test_a_number_of_a_file_is_the_same_however_numpy_is_set_to_print() -> None:
+    with np.printoptions(legacy="1.13"):
+        assert positive(1 / 60) == 0.016666668
