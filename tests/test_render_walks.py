@@ -182,6 +182,25 @@ def test_an_evenly_lit_white_ball_is_mended_to_its_light_from_any_error() -> Non
     assert np.average(light, axis=0, weights=surface.areas()) == pytest.approx([1, 1, 1], rel=3e-3)
 
 
+def test_a_ball_lit_from_one_side_grows_redder_into_the_dark_without_coloured_patches() -> None:
+    """Of points that miss a fifth of the light, and whose colour is off by 3 % from the lit side to the dark one."""
+    surface, inside = ball(6.0), Inside(np.array([0.005, 0.012, 0.02]), np.array([2.2, 2.6, 3.0]), 1.5)
+    entered = in_beam(surface, inside.eta)
+    places, normals = (part[::8] for part in centres(surface))
+    many = walked(surface, entered, inside, places, normals, walks=64).mean
+    ring = np.minimum(((normals[:, 2] + 1) * 3).astype(int), 5)
+    known = np.log([many[ring == k].mean(axis=0) for k in range(6)])
+    height = surface.normals[:, 2]
+    true = np.exp(np.stack([np.interp(height, (np.arange(6) - 2.5) / 3, line) for line in known.T], axis=1))
+    points = 0.8 * true * (1 + 0.03 * height[:, None] * [1, 0, -1])
+    found = [mended(surface, entered, inside, points, None, diffuse, walks=64, seed=seed) for seed in (1, 2)]
+    first, second = (np.log((light / light[:, 1:2])[height < 0][:, ::2]) for light in found)
+    expected = np.log((true / true[:, 1:2])[height < 0][:, ::2])
+    assert np.all((first - second).std(axis=0) < 0.1)
+    assert np.all(np.abs(((first + second) / 2 - expected).mean(axis=0)) < 0.12)
+    assert known[0, 0] - known[0, 1] > known[-1, 0] - known[-1, 1] + 0.2
+
+
 def test_what_points_find_on_a_flat_thick_body_stays() -> None:
     surface = cube(40.0, 40)
     inside = Inside(np.full(3, 0.5), np.full(3, 1.0), 1.3)

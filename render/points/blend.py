@@ -2,7 +2,8 @@
 
 The kernel of points was made for a plane: round a bend and in a thin part too little light comes out. By how much
 changes slowly along the surface, so that walks from few places tell it: the mean over a neighbourhood takes their noise
-away, and the detail of points stays.
+away, and the detail of points stays. How it changes their colour is told by wider neighbourhoods than how bright it is:
+channels part in hundreds of scatterings, so that each has noise of its own, which would be seen as coloured patches.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
+from scipy.sparse import csr_array
 from scipy.spatial import cKDTree
 
 from bssrdf.render.points.record import BodySurface, Entered, Floats, Integers
@@ -22,6 +24,10 @@ _RADII = (4.0, 2.0, 1.0)
 """Of means, over the distance between places: about 200, 50 and 12 count."""
 _WANTED = 0.015
 """Relative standard error at which half of what a narrower mean adds is believed."""
+_TIMES = (16, 4, 1)
+"""That the widest mean is taken of itself, for colour: as wide as four, two and one of it."""
+_WANTED_COLOUR = 0.005
+"""As _WANTED, of the colour: patches of 1 % are seen."""
 PLACES = 6000
 """That walks start from, on a body that has room for more."""
 _BENT = 3e-4
@@ -68,7 +74,9 @@ def mended(
     found = _found(surface, entered, inside, places[rows], normals[rows], viewer, leaving, walks, seed)
     around = _Near(places[rows], normals[rows], places[rows], normals[rows], _NEIGHBOURS)
     missing = np.zeros((len(places), exitance.shape[1]))
-    missing[rows] = bent[rows, None] * _quiet(around, found, exitance[corners[rows]].mean(axis=1), spacing)
+    flat = exitance[corners[rows]].mean(axis=1)
+    light = _tinted(around, found, flat, flat + _quiet(around, found, flat, spacing), spacing)
+    missing[rows] = bent[rows, None] * (light - flat)
     between = _Near(places, normals, surface.vertices, surface.normals, _BETWEEN)
     return np.maximum(exitance + between.mean(missing, spacing / 2), 0)
 
@@ -111,6 +119,43 @@ def _quiet(around: _Near, found: Walked, flat: Floats, spacing: float) -> Floats
     return wide
 
 
+def _tinted(around: _Near, found: Walked, flat: Floats, light: Floats, spacing: float) -> Floats:
+    """Light (k, channels) as bright as given, its colour that of points as walks change it over wide neighbourhoods.
+
+    Done twice: what the walks' colour still differs by, and a wide mean took away, the second time brings back.
+    """
+    scale = np.maximum(flat.mean(axis=1, keepdims=True), 1e-3 * flat.mean() + 1e-30)  # the dark count as the bright do
+    relative = Walked(found.mean / scale, found.variance / scale**2)
+    bright = np.maximum(light.mean(axis=1, keepdims=True), 0)
+    colour = flat
+    for _ in range(2):
+        colour = colour * _tint(around, relative, colour / scale, spacing)
+        grey = colour.mean(axis=1, keepdims=True)
+        colour = np.divide(bright * colour, grey, out=light.copy(), where=grey > 0)
+    return colour
+
+
+def _tint(around: _Near, walks: Walked, known: Floats, spacing: float) -> Floats:
+    """The colour of walks over a known one, (k, channels): over so wide a neighbourhood as its noise asks for."""
+    widths = [(_RADII[0], times) for times in _TIMES] + [(radius, 1) for radius in _RADII[1:]]
+    tint = np.ones_like(known)
+    for radius, times in widths:
+        fine, noise = _ratio(around, walks, known, radius * spacing, times)
+        trusted = 1 / (1 + noise / _WANTED_COLOUR**2) if (radius, times) != widths[0] else 1
+        tint = tint + trusted * (fine - tint)
+    return tint
+
+
+def _ratio(around: _Near, walks: Walked, known: Floats, radius: float, times: int) -> tuple[Floats, Floats]:
+    """Of means taken so many times, over its mean over channels, and its relative variance, (k, 1)."""
+    variance = around.variance(walks.variance, radius) / times  # so many times the places count
+    means = around.mean(np.hstack([walks.mean, known]), radius, times)
+    above, below = np.hsplit(means, 2)
+    ratio = np.divide(above, below, out=np.ones_like(above), where=below > 0)
+    noise = np.divide(variance, above**2, out=np.zeros_like(above), where=above > 0)
+    return ratio / np.maximum(ratio.mean(axis=1, keepdims=True), 1e-300), noise.mean(axis=1, keepdims=True)
+
+
 def place_spacing(surface: BodySurface, inside: Inside) -> float:
     """A third of the way that light spreads, less where the body is small; so wide that PLACES are about enough."""
     area = float(surface.triangle_areas().sum())
@@ -125,6 +170,7 @@ class _Near:
     """The places near others, on their side of the body."""
 
     def __init__(self, places: Floats, normals: Floats, at: Floats, facing: Floats, most: int) -> None:
+        self._places = len(places)
         self._apart, self._near = cKDTree(places).query(at, range(1, min(most, len(places)) + 1))
         self._cosines = np.einsum("ijk,ik->ij", normals[self._near], facing)
         self._aligned = np.maximum(self._cosines, 1e-6)
@@ -133,17 +179,24 @@ class _Near:
         """Mean of 1 less the cosine between the normals, (k,): 0 on a plane, 2 where a thin part's other side is."""
         return np.asarray(1 - self._cosines.mean(axis=1))
 
-    def mean(self, values: Floats, radius: float) -> Floats:
-        return np.asarray(np.einsum("ij,ijc->ic", self._weights(radius), values[self._near]))
+    def mean(self, values: Floats, radius: float, times: int = 1) -> Floats:
+        """Of means, where it is taken more times than once."""
+        weights = self._weights(radius)
+        for _ in range(times):
+            values = np.asarray(weights @ values)
+        return values
 
     def variance(self, values: Floats, radius: float) -> Floats:
         """Of the mean, from those of independent values."""
-        return np.asarray(np.einsum("ij,ijc->ic", np.square(self._weights(radius)), values[self._near]))
+        return np.asarray(self._weights(radius).power(2) @ values)
 
-    def _weights(self, radius: float) -> Floats:
+    def _weights(self, radius: float) -> csr_array:
         nearest = self._apart[:, :1]
         weight = self._aligned * np.exp(-0.5 * (np.square(self._apart) - np.square(nearest)) / radius**2)
-        return weight / weight.sum(axis=1, keepdims=True)
+        weight /= weight.sum(axis=1, keepdims=True)
+        rows, most = weight.shape
+        indices = self._near.flatten()  # a copy: it is sorted in place
+        return csr_array((weight.ravel(), indices, np.arange(rows + 1) * most), (rows, self._places))
 
 
 def sparse_faces(surface: BodySurface, spacing: float, seed: int) -> Integers:
