@@ -17,13 +17,13 @@ from bssrdf.transport.photon import State, free_path, normalised, reflectance_in
 
 Floats = NDArray[np.float64]
 
-_FAINT = 14.0
+FAINT = 14.0
 """Optical depth from which nothing is scored: e⁻¹⁴ of a collision's light."""
-_ROULETTE_BELOW, _SURVIVORS_WEIGHT = 0.1, 0.3
+ROULETTE_BELOW, SURVIVORS_WEIGHT = 0.1, 0.3
 
 
 @njit(inline="always")
-def _phase(g: float, cos_theta: float) -> float:
+def phase(g: float, cos_theta: float) -> float:
     """4π times Henyey–Greenstein's."""
     x = 1.0 + g * g - 2.0 * g * cos_theta
     return (1.0 - g * g) / (x * math.sqrt(x))
@@ -69,13 +69,13 @@ def camera_walk(
             weight *= albedo
             order += 1
             rho = math.sqrt(x * x + y * y)
-            for a in range(cosines.size if z < _FAINT else 0):
+            for a in range(cosines.size if z < FAINT else 0):
                 depth = z / inside[a]
-                if depth > _FAINT:
+                if depth > FAINT:
                     continue
                 light = weight * math.exp(-depth) * passing[a]
                 aside = depth * sines[a]  # on its way up it moves by this towards the camera, here at +y
-                straight = light * _phase(g, uy * sines[a] - uz * inside[a])
+                straight = light * phase(g, uy * sines[a] - uz * inside[a])
                 total[a] += straight
                 if order == 1:
                     continue
@@ -92,11 +92,11 @@ def camera_walk(
                         outwards, along = (ux * x + uy * y) / rho, (uy * x - ux * y) / rho
                         for sign in (-1.0, 1.0):
                             towards = (sign * along * side - outwards * back) * sines[a]
-                            across[a, i] += light * _phase(g, towards - uz * inside[a]) / 2.0
-            if weight < _ROULETTE_BELOW:
-                if uniform(state) * _SURVIVORS_WEIGHT > weight:
+                            across[a, i] += light * phase(g, towards - uz * inside[a]) / 2.0
+            if weight < ROULETTE_BELOW:
+                if uniform(state) * SURVIVORS_WEIGHT > weight:
                     break
-                weight = _SURVIVORS_WEIGHT
+                weight = SURVIVORS_WEIGHT
             ux, uy, uz = scatter(state, g, ux, uy, uz)
             if order & 15 == 0:
                 ux, uy, uz = normalised(ux, uy, uz)

@@ -12,22 +12,13 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from bssrdf.bench.camera_walk import FAINT, ROULETTE_BELOW, SURVIVORS_WEIGHT, phase
 from bssrdf.transport.photon import State, free_path, normalised, reflectance_inside, scatter, uniform
 
 Floats = NDArray[np.float64]
 
 HALF_SECTOR = math.radians(10.0)
 """On either side of the slice; over it the second harmonic of the light falls by 2 %."""
-_FAINT = 14.0
-"""Optical depth from which nothing is scored: e⁻¹⁴ of a collision's light."""
-_ROULETTE_BELOW, _SURVIVORS_WEIGHT = 0.1, 0.3
-
-
-@njit(inline="always")
-def _phase(g: float, cos_theta: float) -> float:
-    """4π times Henyey–Greenstein's."""
-    x = 1.0 + g * g - 2.0 * g * cos_theta
-    return (1.0 - g * g) / (x * math.sqrt(x))
 
 
 @njit(nogil=True, cache=True)
@@ -73,12 +64,12 @@ def oblique_walk(
             x, y, z = x + ux * d, y + uy * d, z + uz * d
             weight *= albedo
             order += 1
-            for a in range(sines.size if z < _FAINT else 0):
+            for a in range(sines.size if z < FAINT else 0):
                 depth = z / inside[a]
-                if depth > _FAINT:
+                if depth > FAINT:
                     continue
                 towards = ux * sines[a] / eta - uz * inside[a]
-                light = weight * math.exp(-depth) * passing[a] * _phase(g, towards)
+                light = weight * math.exp(-depth) * passing[a] * phase(g, towards)
                 total[a] += light
                 out = x + depth * sines[a] / eta
                 r = math.sqrt(out * out + y * y)
@@ -87,10 +78,10 @@ def oblique_walk(
                     around[a, i] += light
                     if abs(out) < r * widest:
                         across[a, i] += light / share
-            if weight < _ROULETTE_BELOW:
-                if uniform(state) * _SURVIVORS_WEIGHT > weight:
+            if weight < ROULETTE_BELOW:
+                if uniform(state) * SURVIVORS_WEIGHT > weight:
                     break
-                weight = _SURVIVORS_WEIGHT
+                weight = SURVIVORS_WEIGHT
             ux, uy, uz = scatter(state, g, ux, uy, uz)
             if order & 15 == 0:
                 ux, uy, uz = normalised(ux, uy, uz)
