@@ -45,6 +45,15 @@ class Command(click.Command):
         super().__init__(*args, **kwargs)
         self.params += _common_options()
 
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """Options that are no more, hidden so that they can say so, are not what a misspelt one could mean."""
+        try:
+            return super().parse_args(ctx, args)
+        except click.NoSuchOption as error:
+            shown = {name for each in self.get_params(ctx) if not getattr(each, "hidden", False) for name in each.opts}
+            error.possibilities = sorted(shown.intersection(error.possibilities or ()))
+            raise
+
 
 class Group(click.Group):
     """A group whose commands are `Command`s; it takes the common options too."""

@@ -100,7 +100,11 @@ def _scene_options(command: Decorated) -> Decorated:
 @click.command(cls=Command)
 @click.argument("scene", metavar="SCENE")
 @click.option(
-    "--model", type=click.Choice(["auto", "brdf", "bssrdf", "mc"]), default="auto", show_default=True, help="How."
+    "--model",
+    type=click.Choice(["auto", "brdf", "bssrdf", "mc"]),
+    default="auto",
+    show_default=True,
+    help="auto is bssrdf, or brdf where light spreads less than a pixel's width.",
 )
 @click.option("--terms", metavar="LIST", help="dipole: of diffusion,single,specular, those to show.")
 @click.option("--explain", is_flag=True, help="Say how --model and --method auto choose.")

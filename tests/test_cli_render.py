@@ -153,6 +153,13 @@ def test_what_is_wrong_with_a_scene_is_one_line(
     assert list(tmp_path.iterdir()) == []
 
 
+def test_a_misspelt_option_is_told_a_living_one(capsys: pytest.CaptureFixture[str]) -> None:
+    assert bssrdf("render", "block", "--samplng", "8") == 2
+    said = capsys.readouterr().err
+    assert "--samples" in said
+    assert "--sampling" not in said
+
+
 XML = """<scene version="3.0.0">
 <sensor type="perspective"><transform name="to_world"><lookat origin="0,0,4" target="0,0,0" up="0,1,0"/></transform>
 <film type="hdrfilm"><integer name="width" value="8"/><integer name="height" value="8"/></film></sensor>
