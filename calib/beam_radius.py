@@ -7,6 +7,7 @@ tile's mean free path, says how wide; it shows in the skirt of the image, the be
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -26,6 +27,8 @@ _MEAN_DEPTH = 0.6
 """Of the sources, in mean free paths: 1 would leave too little light near the beam, as Monte Carlo shows."""
 _RINGS_PER_SIGMA = 6
 _STEPS_PER_SIGMA = 3
+_BEYOND_SIGMAS = 4
+"""Rings farther out than this beyond a place give it nothing."""
 _REACH = 5.0
 """Of the image that is fitted, in radii of its core."""
 _I0_SAFE = 600.0
@@ -63,10 +66,11 @@ def radius_on_tile(
     of_one_radius = 2 * len(value) * (across**2 + along**2) / (_REACH * core_radius) ** 2
     shape_sd = _SHAPE_REL_SD * np.sqrt(np.maximum(1.0, of_one_radius))
     reach = _REACH * core_radius + max(footprint)
+    r, weights = _within_pixels(across, along, footprint)
 
     def residual(p: Array) -> Array:
         curve = spot_image(float(np.exp(p[0])), float(np.exp(p[1])), reach, view_angle_deg)
-        model = np.exp(p[2]) * _pixel_mean(curve, across, along, footprint)
+        model = np.exp(p[2]) * (weights @ np.exp(curve(r)))
         return (value - model) / np.sqrt(variance[near] + (shape_sd * model) ** 2)
 
     amplitude = np.log(value.max() * core_radius**2)
@@ -84,25 +88,33 @@ def beyond(r_mfp: Array, view_angle_deg: float) -> Array:
     """Share of a thin beam's light that leaves a tile farther from the beam than each radius [mean free paths]."""
     a = boundary_a(_ETA)
     cosine = np.sqrt(1 - (np.sin(np.radians(view_angle_deg)) / _ETA) ** 2)
-    share = np.zeros_like(r_mfp)
-    for depth, weight in zip(_MEAN_DEPTH * _DEPTHS, _DEPTH_WEIGHTS, strict=True):
-        image = depth + 4 / 3 * a
-        d_r, d_v = np.hypot(r_mfp, depth), np.hypot(r_mfp, image)
-        share += weight * (3 * (d_v - d_r) + 3 * cosine * (depth / d_r + image / d_v))
+    depth = _MEAN_DEPTH * _DEPTHS[:, None]
+    image = depth + 4 / 3 * a
+    d_r, d_v = np.hypot(r_mfp, depth), np.hypot(r_mfp, image)
+    share = _DEPTH_WEIGHTS @ (3 * (d_v - d_r) + 3 * cosine * (depth / d_r + image / d_v))
     return np.asarray(share / (4 * a + 6 * cosine))
 
 
 def spot_image(radius: float, mfp: float, reach: float, view_angle_deg: float) -> Monotone:
-    """Light per area [1/mm²] of a Gaussian spot on the tile, as ln f over r up to `reach`.
-
-    The light of a ring of radius s, spread by a Gaussian of σ = radius/2, is exp(−(r² + s²)/2σ²) I₀(rs/σ²)/(2πσ²).
-    """
+    """Light per area [1/mm²] of a Gaussian spot on the tile, as ln f over r up to `reach`."""
     sigma = radius / 2
-    edges = np.linspace(0.0, reach + 4 * sigma, int(_RINGS_PER_SIGMA * (reach / sigma + 4)) + 1)
-    ring, s = -np.diff(beyond(edges / mfp, view_angle_deg)), (edges[1:] + edges[:-1]) / 2
-    r = np.linspace(0.0, reach, int(_STEPS_PER_SIGMA * reach / sigma) + 2)
-    kernel = np.exp(-((r[:, None] - s) ** 2) / (2 * sigma**2)) * scaled_i0(r[:, None] * s / sigma**2)
-    return Monotone(r, np.log(kernel @ ring / (2 * np.pi * sigma**2)))
+    spread = _spread_rings(int(_STEPS_PER_SIGMA * reach / sigma) + 2)
+    n_steps, n_rings = spread.shape
+    edges = np.arange(n_rings + 1, dtype=np.float64) * sigma / _RINGS_PER_SIGMA
+    ring = -np.diff(beyond(edges / mfp, view_angle_deg))
+    r = np.arange(n_steps, dtype=np.float64) * sigma / _STEPS_PER_SIGMA
+    return Monotone(r, np.log(spread @ ring / (2 * np.pi * sigma**2)))
+
+
+@lru_cache(maxsize=8)
+def _spread_rings(n_steps: int) -> Array:
+    """What the light of rings gives to as many places from the centre on, by their radii ς and ρ in units of σ.
+
+    The light of a ring, spread by a Gaussian, is exp(−(ρ² + ς²)/2) I₀(ρς)/(2πσ²).
+    """
+    rho = np.arange(n_steps)[:, None] / _STEPS_PER_SIGMA
+    ring = (np.arange(int(_RINGS_PER_SIGMA * (rho[-1, 0] + _BEYOND_SIGMAS))) + 0.5) / _RINGS_PER_SIGMA
+    return np.asarray(np.exp(-((rho - ring) ** 2) / 2) * scaled_i0(rho * ring))
 
 
 def scaled_i0(x: Array) -> Array:
@@ -112,15 +124,11 @@ def scaled_i0(x: Array) -> Array:
     return np.where(x < _I0_SAFE, np.i0(small) * np.exp(-small), series)
 
 
-def _pixel_mean(log_curve: Monotone, across: Array, along: Array, footprint: tuple[float, float]) -> Array:
-    """The curve averaged over the rectangle of each pixel."""
+def _within_pixels(across: Array, along: Array, footprint: tuple[float, float]) -> tuple[Array, Array]:
+    """Radii (k, n) of places in the rectangle of each pixel (n,), and weights (k,) by which they make its mean."""
     nodes, weights = _NODES
-    mean = np.zeros_like(across)
-    for u, weight_u in zip(nodes, weights, strict=True):
-        for v, weight_v in zip(nodes, weights, strict=True):
-            r = np.hypot(across + u * footprint[0] / 2, along + v * footprint[1] / 2)
-            mean += weight_u * weight_v / 4 * np.exp(log_curve(r))
-    return mean
+    places = [np.hypot(across + u * footprint[0] / 2, along + v * footprint[1] / 2) for u in nodes for v in nodes]
+    return np.array(places), np.outer(weights, weights).ravel() / 4
 
 
 def knife_edge_radius(position: Array, light: Array) -> float:

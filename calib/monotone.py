@@ -7,6 +7,9 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
+_EVEN = 1e-9
+"""Relative difference of widths that are one: a place so near to a point may be counted to the cell before it."""
+
 
 class Monotone:
     """A smooth curve through points x ascending, y of shape (n,), n ≥ 2: nowhere does it swing beyond them.
@@ -19,15 +22,26 @@ class Monotone:
         at_points = _slopes(width, slope)
         first, last = at_points[:-1], at_points[1:]
         self._x = x
+        self._pitch = float(width[0]) if np.ptp(width) < _EVEN * width[0] else None
         self._powers = np.stack(
             [y[:-1], first, (3 * slope - 2 * first - last) / width, (first + last - 2 * slope) / width**2]
         )
 
     def __call__(self, x: Array) -> Array:
-        cell = np.clip(np.searchsorted(self._x, x, side="right") - 1, 0, len(self._x) - 2)
-        a, b, c, d = self._powers[:, cell]
-        t = x - self._x[cell]
-        return np.asarray(a + t * (b + t * (c + t * d)))
+        cell = self._cell(x)
+        t = x - self._x.take(cell)
+        a, b, c, value = (power.take(cell) for power in self._powers)
+        for power in (c, b, a):
+            value *= t
+            value += power
+        return np.asarray(value)
+
+    def _cell(self, x: Array) -> NDArray[np.intp]:
+        if self._pitch is None:
+            cell = np.searchsorted(self._x, x, side="right") - 1
+        else:
+            cell = ((x - self._x[0]) / self._pitch).astype(np.intp)
+        return np.clip(cell, 0, len(self._x) - 2, out=cell)
 
 
 def _slopes(width: Array, slope: Array) -> Array:

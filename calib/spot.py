@@ -39,13 +39,12 @@ def find_spot(x_px: Array, y_px: Array, value: Array, start: tuple[float, float]
     shape = np.eye(2) * sd_px**2
     for _ in range(_PASSES):
         offset = np.stack([x_px - centre[0], y_px - centre[1]])
-        weight = value * np.exp(-0.5 * np.einsum("in,ij,jn->n", offset, np.linalg.inv(shape), offset))
+        weight = value * np.exp(-0.5 * (offset * (np.linalg.inv(shape) @ offset)).sum(axis=0))
         total = weight.sum()
         if not total > 0:
             raise InputError("the spot cannot be found in the image; check that the beam lies in the frame")
         step = offset @ weight / total
-        moved = offset - step[:, None]
-        next_shape = 2 * np.einsum("n,in,jn->ij", weight, moved, moved) / total
+        next_shape = 2 * ((offset * weight) @ offset.T / total - np.outer(step, step))
         centre += 2 * step
         if np.hypot(*step) < _SETTLED_PX and np.allclose(next_shape, shape, rtol=1e-3):
             break

@@ -16,6 +16,8 @@ from numpy.typing import NDArray
 from bssrdf.calib import Monotone
 
 Array = NDArray[np.float64]
+Members = NDArray[np.int64]
+"""How many points each bin has; the points of a bin stand together, bin after bin."""
 
 _GROWTH = 0.04
 """A bin is this fraction of its radius wide, or one step of the channel's grid."""
@@ -85,7 +87,10 @@ class Curve:
             return np.full_like(r, self._constant)
         if self._near is None:
             return self._far(r)
-        return np.where(r <= self._switch, np.exp(self._near(np.minimum(r, self._switch))), self._far(r))
+        near = r <= self._switch
+        value = np.empty_like(r)
+        value[near], value[~near] = np.exp(self._near(r[near])), self._far(r[~near])
+        return value
 
 
 def _near_the_centre(r: Array, log_value: Array) -> Monotone:
@@ -111,21 +116,46 @@ def profile(points: Points, edges: Array, footprint: tuple[float, float], band: 
     the whole image. Pixels that stand out of their bin (dust, glints) are left out. The error is the larger of that
     of the merge and that of the scatter, and what the curve's shape is not known by where it is steep and pixels few.
     """
-    r = np.hypot(points.across, points.along)
-    points, r = Points(*(field[r < edges[-1]] for field in points)), r[r < edges[-1]]
-    index = np.searchsorted(edges, r, side="right") - 1
+    points, r, members = _by_bins(points, edges)
     weight = points.n * _density_weight(r, band)
     if band is not None:
-        weight *= _balance(points, index, len(edges) - 1)
+        weight *= _balance(points, members)
     flat = np.ones(len(edges) - 1)
-    keep = _not_outlying(points, np.zeros(len(r)), index, len(edges) - 1)
-    out = _bins(points, edges, index, weight, np.ones(len(r)), flat, 0 * flat, keep)
+    keep = _not_outlying(points, np.zeros(len(r)), members)
+    out = _bins(points, edges, members, weight, np.ones(len(r)), flat, 0 * flat, keep)
     for _ in range(_PASSES):
         curve = Curve(out)
-        model = _footprint_mean(curve, points, footprint)
-        keep = _not_outlying(points, model, index, len(edges) - 1)
-        out = _bins(points, edges, index, weight, model, _annulus_mean(curve, edges), _steepness(curve, edges), keep)
+        model = _footprint_mean(curve, points, r, footprint)
+        keep = _not_outlying(points, model, members)
+        out = _bins(points, edges, members, weight, model, _annulus_mean(curve, edges), _steepness(curve, edges), keep)
     return out
+
+
+def _by_bins(points: Points, edges: Array) -> tuple[Points, Array, Members]:
+    """The points within the last edge, those of a bin together, their radii, and how many each bin has."""
+    r = np.hypot(points.across, points.along)
+    index = np.searchsorted(edges, r, side="right") - 1
+    members = np.bincount(index, minlength=len(edges))[: len(edges) - 1]
+    order = np.argsort(index.astype(np.int16), kind="stable")[: members.sum()]  # a radix sort, for 16 bits
+    return Points(*(field[order] for field in points)), r[order], members
+
+
+def _sums(x: Array, members: Members) -> Array:
+    """The sum over each bin's values, which stand together."""
+    sums, there = np.zeros(len(members)), members > 0
+    if there.any():
+        sums[there] = np.add.reduceat(x, (np.cumsum(members) - members)[there])
+    return sums
+
+
+def _medians(values: Array, members: Members) -> Array:
+    """The median of each bin's values; 0 of an empty one's."""
+    medians, last = np.zeros(len(members)), np.cumsum(members)
+    for at in np.flatnonzero(members):
+        own, middle = values[last[at] - members[at] : last[at]].copy(), members[at] // 2
+        own.partition(middle)
+        medians[at] = own[middle] if members[at] % 2 else (own[middle] + own[:middle].max()) / 2
+    return medians
 
 
 def _density_weight(r: Array, band: float | None) -> Array:
@@ -135,43 +165,40 @@ def _density_weight(r: Array, band: float | None) -> Array:
     return 1 / (2 / np.pi * np.arcsin(np.minimum(1, band / 2 / np.maximum(r, 1e-12))))
 
 
-def _balance(points: Points, index: NDArray[np.int64], n_bins: int) -> Array:
+def _balance(points: Points, members: Members) -> Array:
     """Weights that put the mean of each bin's pixels on the slice: light runs outwards, so that a camera at an angle
     sees more on its own side, and of a mosaic's colour more rows may lie on one."""
-    ahead, behind = (np.bincount(index, points.n * np.maximum(sign * points.along, 0), n_bins) for sign in (1, -1))
+    ahead, behind = (_sums(points.n * np.maximum(sign * points.along, 0), members) for sign in (1, -1))
     both = (ahead > 0) & (behind > 0)
-    ratio = np.sqrt(np.divide(behind, ahead, out=np.ones(n_bins), where=both))[index]
+    ratio = np.repeat(np.sqrt(np.divide(behind, ahead, out=np.ones(len(members)), where=both)), members)
     return np.where(points.along > 0, ratio, 1 / ratio)
 
 
 def _bins(
     points: Points,
     edges: Array,
-    index: NDArray[np.int64],
+    members: Members,
     weight: Array,
     model: Array,
     bin_model: Array,
     steepness: Array,
     keep: NDArray[np.bool_],
 ) -> RadialProfile:
-    n_bins = len(edges) - 1
-
-    def total(x: Array) -> Array:
-        return np.bincount(index[keep], x[keep], n_bins).astype(float)
-
-    members, n = np.bincount(index[keep], minlength=n_bins), total(points.n)
+    if not keep.all():
+        members = _sums(keep.astype(float), members).astype(int)
+        points, weight, model = Points(*(field[keep] for field in points)), weight[keep], model[keep]
+    n, weights = _sums(points.n, members), _sums(weight, members)
     with np.errstate(divide="ignore", invalid="ignore"):
-        weights, noise = total(weight), np.sqrt(total(weight**2 * points.variance))
-        ratio, offset = (
-            total(weight * points.value) / total(weight * model),
-            total(weight * (points.value - model)) / weights,
-        )
+        noise, modelled = np.sqrt(_sums(weight**2 * points.variance, members)), _sums(weight * model, members)
+        ratio = _sums(weight * points.value, members) / modelled
+        offset = _sums(weight * (points.value - model), members) / weights
         clear = bin_model > _CLEAR_SD * noise / weights
         value = np.where(clear, ratio * bin_model, bin_model + offset)
-        share = np.where(clear, bin_model / total(weight * model), 1 / weights)
+        share = np.where(clear, bin_model / modelled, 1 / weights)
         merge_sd = noise * np.abs(share)
-        residual = points.value - np.where(clear[index], ratio[index] * model, model + offset[index])
-        scatter_sd = np.sqrt(total((weight * residual) ** 2) * members / np.maximum(members - 1, 1)) * np.abs(share)
+        scale, shift = np.repeat(np.where(clear, ratio, 1.0), members), np.repeat(np.where(clear, 0.0, offset), members)
+        scatter = np.sqrt(_sums((weight * (points.value - scale * model - shift)) ** 2, members))
+        scatter_sd = scatter * np.sqrt(members / np.maximum(members - 1, 1)) * np.abs(share)
         shape_sd = _SHAPE_REL_SD * np.abs(value) * (steepness / n) ** 2
     scatter_sd[members < 3] = np.nan
     used = n > 0
@@ -184,10 +211,9 @@ def _bins(
     )
 
 
-def _footprint_mean(curve: Curve, points: Points, footprint: tuple[float, float]) -> Array:
+def _footprint_mean(curve: Curve, points: Points, r: Array, footprint: tuple[float, float]) -> Array:
     """The curve averaged over each pixel's rectangle, by Gauss–Legendre quadrature; far out, its value there."""
     nodes, weights = _NODES
-    r = np.hypot(points.across, points.along)
     out = curve(r)
     near = r < _FAR_FOOTPRINTS * max(footprint)
     across, along = points.across[near], points.along[near]
@@ -214,22 +240,12 @@ def _steepness(curve: Curve, edges: Array) -> Array:
     return np.maximum(drop, np.append(drop[1:], 0.0))
 
 
-def _not_outlying(points: Points, model: Array, index: NDArray[np.int64], n_bins: int) -> NDArray[np.bool_]:
+def _not_outlying(points: Points, model: Array, members: Members) -> NDArray[np.bool_]:
     """Points within a few robust standard deviations of the smooth curve, judged bin by bin."""
-    members = np.bincount(index, minlength=n_bins)
     residual = points.value - model
-    residual = residual - _medians(residual, index, members)[index]
-    scatter = 1.4826 * _medians(np.abs(residual), index, members)[index]
+    residual -= np.repeat(_medians(residual, members), members)
+    distance = np.abs(residual)
+    scatter = np.repeat(1.4826 * _medians(distance, members), members)
     sd = np.fmax(np.sqrt(points.variance), scatter)
-    few = members[index] < _LEAST_MEMBERS
-    return np.asarray(few | (np.abs(residual) <= _REJECT_SD * np.maximum(sd, 1e-3 * np.abs(model))))
-
-
-def _medians(values: Array, index: NDArray[np.int64], members: NDArray[np.int64]) -> Array:
-    """The median of each bin's values; 0 of an empty one's."""
-    rising = np.argsort(values)
-    ordered = values[rising][np.argsort(index[rising].astype(np.int16), kind="stable")]  # a radix sort, for 16 bits
-    ordered = np.append(ordered, 0.0)
-    first = np.cumsum(members) - members
-    low, high = (np.minimum(first + k, len(values)) for k in ((members - 1) // 2, members // 2))
-    return np.where(members > 0, (ordered[low] + ordered[high]) / 2, 0.0)
+    few = np.repeat(members < _LEAST_MEMBERS, members)
+    return np.asarray(few | (distance <= _REJECT_SD * np.maximum(sd, 1e-3 * np.abs(model))))

@@ -21,7 +21,7 @@ from bssrdf.fit import HALF_SPACE, NEAR_WALL, Held
 from bssrdf.measure.holder import Holder
 from bssrdf.measure.profile import RadialProfile
 from bssrdf.session.records import Array
-from bssrdf.transport import decay_constant, half_spaces
+from bssrdf.transport import decay_constants, half_spaces
 from bssrdf.transport.exit_radiance import boundary_a, transmittance
 
 _INNER_SHARE = 0.35
@@ -44,6 +44,8 @@ _LOG_LOSS = (-14.0, -0.5)
 """Range of ln(1 − α′) in which a total is looked up."""
 _DEGREE = 23
 """Of the polynomial that stands for the totals there: 15 leaves 1e-6, 23 1e-7."""
+_ATTENUATION_DEGREE = 31
+"""Of that for the attenuations: it leaves 1e-7 of them."""
 _LOOKED_UP = 2000
 """Places between which totals are straight lines: 6e-6 of a loss."""
 _TOTALS = 41
@@ -80,10 +82,7 @@ class Surroundings(NamedTuple):
 
     def attenuation(self, total: float) -> float:
         """σtr times the mean free path of the half space whose total, as this camera sees it, is `total`."""
-        return self._attenuation(self.loss(total))
-
-    def _attenuation(self, loss: float) -> float:
-        return decay_constant(self._albedo(loss), self.g) * (1 + self.g / (1 - self.g) * (1 - loss))
+        return float(np.exp(_log_attenuation(self.g)(np.log(self.loss(total)))))
 
     def attenuation_by_mfp(self, total: float) -> Callable[[float], float]:
         """The same of the sample as it is held, which hangs on its mean free path [mm], too."""
@@ -92,7 +91,7 @@ class Surroundings(NamedTuple):
             return lambda mfp: of_half_space
         log_loss = np.linspace(*_LOG_LOSS, _TOTALS)
         seen = np.interp(log_loss, *self._totals())
-        q = np.array([self._attenuation(np.exp(each)) for each in log_loss])
+        q = np.exp(_log_attenuation(self.g)(log_loss))
 
         def attenuation(mfp: float) -> float:
             totals = seen * self.holder.total_ratio(mfp, q)
@@ -120,13 +119,21 @@ class Surroundings(NamedTuple):
     def _totals(self) -> tuple[Array, Array]:
         return _totals(self.eta, self.g, self.view_angle_deg, self.incidence_deg)
 
-    def _albedo(self, loss: float) -> float:
-        return float(_albedo(np.asarray(loss), self.g))
-
 
 def _albedo(loss: Array, g: float) -> Array:
     scattering = (1 - loss) / (1 - g)
     return scattering / (scattering + loss)
+
+
+@functools.lru_cache(maxsize=8)
+def _log_attenuation(g: float) -> np.polynomial.Chebyshev:
+    """ln of σtr times the mean free path of half spaces, over ln(1 − α′)."""
+
+    def log_attenuation(log_loss: Array) -> Array:
+        loss = np.exp(log_loss)
+        return np.asarray(np.log(decay_constants(_albedo(loss, g), g) * (1 + g / (1 - g) * (1 - loss))))
+
+    return np.polynomial.Chebyshev.interpolate(log_attenuation, _ATTENUATION_DEGREE, domain=_LOG_LOSS)
 
 
 @functools.lru_cache(maxsize=8)
@@ -158,18 +165,19 @@ class Tail:
         return self.mfp, self.mfp + 4 * self.boundary.a * diffusion, diffusion
 
     def __call__(self, r: Array) -> Array:
+        return self.scale * self.shape(r) + self.floor
+
+    def shape(self, r: Array) -> Array:
+        """The curve at a scale of 1, over no floor."""
         z_r, z_v, diffusion = self._sources()
+        (fluence_r, flux_r), (fluence_v, flux_v) = (self._of_source(r, z) for z in (z_r, z_v))
+        return np.asarray((fluence_r - fluence_v) / diffusion + 3 * self.boundary.cosine * (flux_r + flux_v))
 
-        def fluence(z: float) -> Array:
-            d = np.hypot(r, z)
-            return np.exp(-self.sigma_tr * d) / d
-
-        def flux(z: float) -> Array:
-            d = np.hypot(r, z)
-            return z * (1 + self.sigma_tr * d) * np.exp(-self.sigma_tr * d) / d**3
-
-        shape = (fluence(z_r) - fluence(z_v)) / diffusion + 3 * self.boundary.cosine * (flux(z_r) + flux(z_v))
-        return self.scale * shape + self.floor
+    def _of_source(self, r: Array, z: float) -> tuple[Array, Array]:
+        """Fluence, times the diffusion constant, and flux at the surface above a source z deep."""
+        d = np.hypot(r, z)
+        fluence = np.exp(-self.sigma_tr * d) / d
+        return fluence, z * (1 + self.sigma_tr * d) * fluence / d**2
 
     def beyond(self, outline: tuple[Array, Array]) -> float:
         """∫ of the curve, floor left out, over everything outside of a closed line (across, along) round the beam."""
@@ -190,18 +198,14 @@ class TailOfSample(Tail):
     holder: Holder
     n_modes: int
 
-    def _light(self, r: Array) -> Array:
-        ratio = self.holder.ratio(r, self.mfp, self.sigma_tr * self.mfp, self.n_modes)
-        return (super().__call__(r) - self.floor) * ratio
-
-    def __call__(self, r: Array) -> Array:
-        return self._light(r) + self.floor
+    def shape(self, r: Array) -> Array:
+        return super().shape(r) * self.holder.ratio(r, self.mfp, self.sigma_tr * self.mfp, self.n_modes)
 
     def beyond(self, outline: tuple[Array, Array]) -> float:
         r = np.minimum(np.hypot(*outline), self.holder.held.radius)
         farthest = min(float(r.max()) + _NOTHING_LEFT * self.holder.thickness, self.holder.held.radius)
         rings = np.geomspace(float(r.min()), farthest, _RINGS)
-        light = self._light(rings) * rings**2
+        light = self.scale * self.shape(rings) * rings**2
         inner = np.append(0.0, np.cumsum((light[1:] + light[:-1]) / 2 * np.diff(np.log(rings))))
         angle = np.unwrap(np.arctan2(outline[1], outline[0]))
         return abs(float(np.trapezoid(inner[-1] - np.interp(r, rings, inner), angle)))
@@ -265,12 +269,13 @@ def fit_tail(
     if max(float(np.mean(value / sd)), float(np.mean(-below / sd))) < 1 or not first > 0:
         return None
 
+    def unit(p: Array) -> Tail:
+        own = 1.0, float(np.exp(p[1])), float(np.exp(p[2])), below + float(p[3]) * first if with_floor else 0.0
+        return Tail(*own, boundary) if n_modes is None else TailOfSample(*own, boundary, holder, n_modes)
+
     def make(p: Array) -> Tail:
-        unit = Tail(1.0, float(np.exp(p[1])), float(np.exp(p[2])), 0.0, boundary)
-        if n_modes is not None:
-            unit = TailOfSample(1.0, unit.sigma_tr, unit.mfp, 0.0, boundary, holder, n_modes)
-        scale = float(np.exp(p[0])) * first / float(unit(r[:1])[0])
-        return replace(unit, scale=scale, floor=below + float(p[3]) * first if with_floor else 0.0)
+        tail = unit(p)
+        return replace(tail, scale=float(np.exp(p[0])) * first / float(tail.shape(r[:1])[0]))
 
     n = 4 if with_floor else 3
     low = np.array([-20.0, np.log(1e-4 / reach), np.log(1e-3 * reach), -1.0])[:n]
@@ -278,7 +283,9 @@ def fit_tail(
     start = np.array([0.0, np.log(1 / reach), np.log(0.05 * reach), 0.0])[:n]
 
     def residual(p: Array) -> Array:
-        by_curve = (make(p)(r) - value) / sd
+        tail = unit(p)
+        shape = tail.shape(r)
+        by_curve = (np.exp(p[0]) * first / shape[0] * shape + tail.floor - value) / sd
         if attenuation is None:
             return by_curve
         return np.append(by_curve, (p[1] + p[2] - np.log(attenuation(float(np.exp(p[2]))))) / attenuation_rel_sd)

@@ -24,6 +24,7 @@ from bssrdf.rig.sim.picture import PictureGeometry, picture
 from bssrdf.rig.sim.scene import BenchScene
 from bssrdf.session.records import Beam, Camera, ChannelFit, Geometry, Material, Reference, Session, Slice
 from bssrdf.transport.arrays import NUMPY
+from bssrdf.transport.discrete_ordinates import decay_constant
 from bssrdf.transport.finite import Sample, log_ratio
 
 MILK = published_sample("Skimmilk").slab(10.0, back=0.0).media
@@ -137,6 +138,16 @@ def test_a_sample_deeper_than_light_goes_has_the_tail_of_a_half_space() -> None:
     np.testing.assert_allclose(tail(np.array([3.0, 20.0])), half(np.array([3.0, 20.0])), rtol=1e-5)
     assert tail.beyond(square) == pytest.approx(half.beyond(square), rel=1e-4)
     assert Holder(Held("slab", 6000.0, 0.0), 1.3).modes(2.0) is None
+
+
+@pytest.mark.parametrize("g", [0.0, 0.5, 0.9])
+def test_the_attenuation_of_a_total_is_that_of_the_medium_which_has_it(g: float) -> None:
+    around = Surroundings(1.4, g, VIEW_DEG, 0.0)
+    for total in (0.02, 0.2, 0.6, 0.9, 0.99):
+        loss = around.loss(total)
+        scattering = (1 - loss) / (1 - g)
+        kappa = decay_constant(scattering / (scattering + loss), g) * (scattering + loss)
+        assert around.attenuation(total) == pytest.approx(kappa, rel=1e-6)
 
 
 def test_a_slab_s_total_tells_less_attenuation_than_a_half_space_s() -> None:

@@ -7,6 +7,7 @@ from bssrdf.door import door
 if TYPE_CHECKING:
     from bssrdf.transport.convention import camera_factor as camera_factor
     from bssrdf.transport.discrete_ordinates import decay_constant as decay_constant
+    from bssrdf.transport.discrete_ordinates import decay_constants as decay_constants
     from bssrdf.transport.discrete_ordinates import half_space as half_space
     from bssrdf.transport.discrete_ordinates import half_spaces as half_spaces
     from bssrdf.transport.engine import MIN_BATCHES as MIN_BATCHES
