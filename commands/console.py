@@ -51,8 +51,8 @@ class Command(click.Command):
             return super().parse_args(ctx, args)
         except click.NoSuchOption as error:
             shown = {name for each in self.get_params(ctx) if not getattr(each, "hidden", False) for name in each.opts}
-            error.possibilities = sorted(shown.intersection(error.possibilities or ()))
-            raise
+            living = sorted(shown.intersection(error.possibilities or ()))
+            raise click.NoSuchOption(error.option_name, possibilities=living, ctx=ctx) from None
 
 
 class Group(click.Group):
