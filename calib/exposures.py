@@ -138,18 +138,23 @@ def local_log_ratios(
 
 
 def compared(
-    shorter: Array, longer: Array, weight: float, step_dn: float
+    shorter: Array, longer: Array, ratio: float, sensor: Sensor
 ) -> Iterator[tuple[NDArray[np.int_], float, float, float]]:
     """By levels of brightness: the places of the pixels, their mean signals, the variance of the ratio's logarithm.
 
-    `weight` is that of the longer one in the sum that orders the pixels. Nothing where there are too few pixels.
+    The variance is that of photons and read noise, times what the pixels scatter more or less than by these. The plain
+    sum of their squares would be that of the few brightest, which the ratio itself follows. Student's t of so few
+    pixels is wider than a Gaussian. Nothing where there are too few pixels.
     """
     if len(shorter) < _LEAST_PIXELS:
         return
     n = min(_BINS, 1 + len(shorter) // _PER_BIN)
-    for members in np.array_split(np.argsort(shorter + weight * longer), n):
+    for members in np.array_split(np.argsort(shorter + signal_weight(ratio, sensor) * longer), n):
         a, b = shorter[members], longer[members]
         if not (a.sum() > 0 and b.sum() > 0):
             continue
-        scatter = float(np.var(b - b.sum() / a.sum() * a, ddof=1)) * len(a) + step_dn**2
-        yield members, float(a.mean()), float(b.mean()), scatter / float(b.sum()) ** 2 + _MODEL_REL_SD**2
+        told = b.sum() / a.sum()
+        noise = told * (a + b) / sensor.gain_e_per_dn + 2 * (1 + told**2) * sensor.read_var_dn()
+        scatter = float(np.sum((b - told * a) ** 2 / noise)) / (len(a) - 3) * float(noise.sum())
+        log_var = (scatter + sensor.step_dn**2) / float(b.sum()) ** 2 + _MODEL_REL_SD**2
+        yield members, float(a.mean()), float(b.mean()), log_var

@@ -3,7 +3,7 @@
 Two frames i, j of one scene show x_i and x_j DN above their darks. To first order
     ln(x_j/x_i) − ln(t_j/t_i) = s_j − s_i + o_j/x_j − o_i/x_i − b (x_j − x_i)/span,
 with s the scale of a frame, the error of its label and that of the lamp together (in one frame nothing tells them
-apart; a label's error is shared by all kinds of frames, the lamp's is a frame's own, or grows along the bracket), o its
+apart; a label's error is shared by all kinds of frames, the lamp's grows along the bracket, or is a frame's own), o its
 black less that of its dark, and b the bend. All are Gaussian; the spreads of black and bend are the most probable ones
 (MacKay 1992, Neural Computation 4, 415, eq. 4.2). Comparisons that contradict each other get a further error in common.
 
@@ -44,11 +44,27 @@ _LEAK_SD = 10.0
 """Spread of what saturated neighbours add, in units of the read noise."""
 _PARTS = {(): 0.0, ("black",): -8.0, ("black", "colour", "frame", "bend"): -8.0}
 """Of a model beside labels and lamp, with the logarithm of the odds that they are there before anything is seen."""
-_LAMPS = (1e-6, *(5e-4 * 2**k for k in range(7)))
-"""Relative spread of the lamp from frame to frame: none, or one of these."""
-_LIKELY = 1 / (1 + (np.array(_LAMPS[1:]) / 0.01) ** 2)
-_LAMP_ODDS = (0.7, *(0.3 * _LIKELY / _LIKELY.sum()).tolist())
-"""Before anything is seen: three lamps in ten vary, by any spread up to 1 %, by more the rarer."""
+_NONE = 1e-6
+_SPREADS = 5e-4 * 2.0 ** np.arange(7)
+"""Of a lamp that varies, from frame to frame, relative."""
+_TREND = 4.0
+"""How far it drifts along a bracket over that: an ageing lamp changes its way."""
+
+
+class Lamp(NamedTuple):
+    """Spreads of the light within a kind of frames, relative, and the odds of them before anything is seen."""
+
+    odds: float
+    by_frame: float = _NONE
+    drift: float = _NONE
+    """From the first frame to the last."""
+
+
+_LIKELY = 1 / (1 + (_SPREADS / 0.01) ** 2)
+_GRID = tuple(zip((0.15 * _LIKELY / _LIKELY.sum()).tolist(), _SPREADS.tolist(), strict=True))
+_STEADY = Lamp(0.7)
+_UNSTEADY = [Lamp(odds, drift=_TREND * s) for odds, s in _GRID], [Lamp(odds, s, _TREND * s) for odds, s in _GRID]
+"""Three lamps in ten vary, by any spread up to 1 %, by more the rarer; half of them drift and do nothing else."""
 _NEGLIGIBLE = 1e-3
 """Share of the most probable model's weight below which another one is left out."""
 _LINEARISATIONS = 2
@@ -122,7 +138,7 @@ def _lamp_of_kind(frames: Sequence[Exposed], solution: FrameSolution) -> Array:
     the range of what was found, of all kinds together, since two brackets cannot tell which of them it was; less what
     noise alone would feign.
     """
-    lamp = solution.maps.names == "lamp"
+    lamp = np.isin(solution.maps.names, ("lamp", "drift"))
     kinds = np.array([frame.kind for frame in frames])
     same = _same_kind(frames)
     about_mean = (np.eye(len(frames)) - same / same.sum(axis=1)) @ solution.maps.scale[:, lamp]
@@ -173,18 +189,19 @@ def _mixed(parts: Sequence[tuple[float, Array, Array]]) -> tuple[Array, Array]:
 
 def _every_model(maps: FrameMaps, pairs: Pairs, first: dict[str, Array], span_dn: float) -> list[FrameSolution]:
     """Solutions of all models whose weight counts, with the prior odds in their evidence."""
-    found, likeliest = list[FrameSolution](), 0
+    found, likeliest = list[FrameSolution](), _STEADY
     for part, odds in _PARTS.items():
-        world = _World(maps.only(("label", "lamp", *part)), pairs, first, span_dn, odds)
+        world = _World(maps.only(("label", "lamp", "drift", *part)), pairs, first, span_dn, odds)
         if found and not _counts(world.solved(likeliest), found):
             continue  # not worth a look at every lamp
-        own = list[FrameSolution]()
-        for lamp in range(len(_LAMPS)):
-            own.append(world.solved(lamp))
-            if not _counts(own[-1], own):
-                break
-        likeliest = int(np.argmax([each.evidence for each in own]))
-        found += own
+        own = [(world.solved(_STEADY), _STEADY)]
+        for lamps in _UNSTEADY:
+            for lamp in lamps:
+                own.append((world.solved(lamp), lamp))
+                if not _counts(own[-1][0], [each for each, _ in own]):
+                    break
+        likeliest = max(own, key=lambda each: each[0].evidence)[1]
+        found += [each for each, _ in own]
     return found
 
 
@@ -201,14 +218,14 @@ class _World(NamedTuple):
     span_dn: float
     log_odds: float
 
-    def solved(self, lamp: int) -> FrameSolution:
-        """With the lamp of that number, prior odds in the evidence."""
-        spreads = {**self.first, "lamp": np.array(_LAMPS[lamp])}
+    def solved(self, lamp: Lamp) -> FrameSolution:
+        """With that lamp, prior odds in the evidence."""
+        spreads = {**self.first, "lamp": np.array(lamp.by_frame), "drift": np.array(lamp.drift)}
         solution = solved(self.maps, self.pairs, spreads, self.span_dn)
         for _ in range(_LINEARISATIONS if "black" in self.maps.names else 0):
             near = about(self.pairs, self.maps.offset @ solution.theta)
             solution = solved(self.maps, near, spreads, self.span_dn)
-        odds = self.log_odds + float(np.log(_LAMP_ODDS[lamp]))
+        odds = self.log_odds + float(np.log(lamp.odds))
         return solution._replace(evidence=solution.evidence + odds)
 
 

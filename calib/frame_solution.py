@@ -19,8 +19,6 @@ OUTLIER_SD = 2.0
 _BEND = (0.05, 2.0)
 _BLACK, _COLOUR, _FRAME = (1.0, 2.0), (0.3, 1.0), (0.3, 1.0)
 """First guess of a spread and how many values it counts for; those of black in units of the read noise."""
-_TREND = 4.0
-"""Spread of the lamp's change along a bracket over that from frame to frame: an ageing lamp changes its way."""
 _SETTLED = 1e-3
 """In standard errors."""
 LEAST_VAR, _MOST_VAR = 1e-12, 1.0
@@ -121,7 +119,8 @@ def maps_of(frames: Sequence[Exposed], n_colours: int) -> FrameMaps:
     kinds = _numbered([(f.kind,) for f in frames])
     sizes = {
         "label": max(labels) + 1,
-        "lamp": n + max(kinds) + 1,
+        "lamp": n,
+        "drift": max(kinds) + 1,
         "black": max(kinds) + 1,
         "colour": (max(kinds) + 1) * n_colours,
         "frame": n,
@@ -132,7 +131,7 @@ def maps_of(frames: Sequence[Exposed], n_colours: int) -> FrameMaps:
     scale, offset, bend = np.zeros((n, total)), np.zeros((n, n_colours, total)), np.zeros(total)
     for at in range(n):
         scale[at, [starts["label"] + labels[at], starts["lamp"] + at]] = 1
-        scale[at, starts["lamp"] + n + kinds[at]] = _TREND * _place_in_kind(frames, at)
+        scale[at, starts["drift"] + kinds[at]] = _place_in_kind(frames, at)
         offset[at, :, [starts["black"] + kinds[at], starts["frame"] + at]] = 1
         offset[at, range(n_colours), starts["colour"] + kinds[at] * n_colours + np.arange(n_colours)] = 1
     bend[starts["bend"]] = 1
@@ -170,14 +169,14 @@ def solved(maps: FrameMaps, pairs: Pairs, first: dict[str, Array], span_dn: floa
     i, j, colour, x, y, log, var, common = pairs
     design = maps.scale[j] - maps.scale[i] + maps.offset[j, colour] / y[:, None] - maps.offset[i, colour] / x[:, None]
     design = design - maps.bend * ((y - x) / span_dn)[:, None]
-    fitted = [name for name in dict.fromkeys(maps.names.tolist()) if name not in ("label", "lamp")]
+    fitted = [name for name in dict.fromkeys(maps.names.tolist()) if name not in ("label", "lamp", "drift")]
     spread = {name: float(first[name][0]) for name in fitted}
     extra, trust, theta = LEAST_VAR, np.ones(len(log)), np.zeros(len(maps.names))
     for _ in range(ROUNDS):
         weight = trust / (var + extra)
         prior = np.array([spread.get(name, 0.0) for name in maps.names])
-        prior[maps.names == "label"] = first["label"]
-        prior[maps.names == "lamp"] = first["lamp"]
+        for name in ("label", "lamp", "drift"):
+            prior[maps.names == name] = first[name]
         normal = (design.T * weight) @ design
         covariance = np.asarray(np.linalg.inv(normal + np.diag(prior**-2)), float)
         before, theta = theta, covariance @ (design.T @ (weight * log))

@@ -26,7 +26,6 @@ from bssrdf.calib import (
     rough_log_ratio,
     shared_noise,
     shift_between,
-    signal_weight,
     solve_frames,
     thinned,
 )
@@ -260,12 +259,12 @@ def _by_brightness(
     sensor: Sensor,
 ) -> None:
     """Compare one colour of the last two frames, pixels beside saturated ones apart."""
-    weight, second = signal_weight(ratio, sensor), len(found.frames) - 1
+    second = len(found.frames) - 1
     before, used = found.used.get(colour), np.zeros(chosen.size, np.int32)
     for beside_ in ((False, False), (False, True), (True, True)):
         which = np.flatnonzero(chosen & (near[0] == beside_[0]) & (near[1] == beside_[1]))
         x, y = (signal.ravel()[which].astype(float) for signal in signals)
-        for members, shorter, longer, log_var in compared(x, y, weight, sensor.step_dn):
+        for members, shorter, longer, log_var in compared(x, y, ratio, sensor):
             found.comparisons.append(Comparison(second - 1, second, colour, *beside_, shorter, longer, log_var))
             found.n_compared.append(len(members))
             used[which[members]] = len(found.comparisons)

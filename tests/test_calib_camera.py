@@ -9,7 +9,7 @@ import tifffile
 
 from bssrdf.calib.colour import calibrate_colour
 from bssrdf.calib.counts import plateau_dn
-from bssrdf.calib.exposures import Comparison, comparable, compared, signal_weight
+from bssrdf.calib.exposures import Comparison, comparable, compared
 from bssrdf.calib.frame_model import solve_frames
 from bssrdf.calib.frame_solution import Exposed
 from bssrdf.calib.photon_transfer import pair_gain, read_noise_dn
@@ -44,7 +44,7 @@ def solved(true_s, radiance, seed=0):
             ratio = label_s / LABELS_S[number - 1]
             chosen = good & before[1] & comparable(before[0], frame, ratio, SENSOR, SENSOR.span_dn())
             pair = before[0][chosen].astype(float), frame[chosen].astype(float)
-            told = compared(*pair, signal_weight(ratio, SENSOR), 1.0)
+            told = compared(*pair, ratio, SENSOR)
             comparisons += [Comparison(number - 1, number, 0, False, False, *means) for _, *means in told]
         before = frame, good
     frames = [Exposed("sample", label_s, label_s, 0.03) for label_s in LABELS_S]
@@ -67,6 +67,16 @@ def test_the_estimate_has_no_bias_where_most_pixels_are_dark():
     radiance = 150.0 / LABELS_S[6] * np.random.default_rng(0).exponential(1, (300, 400))
     scales = np.mean([solved(LABELS_S, radiance, seed).log_scale for seed in range(5)], axis=0)
     assert scales[9] - scales[6] == pytest.approx(0, abs=8e-4)
+
+
+def test_a_ratio_that_few_bright_pixels_decide_states_their_error():
+    """A spot on a dark surface: 24 pixels, the two brightest of which have six tenths of the light."""
+    light, rng, z = 0.6 ** np.arange(24) * 8000 + 60, np.random.default_rng(7), []
+    for _ in range(2000):
+        pair = [signal(light * t, rng).astype(float) for t in (1.0, 1.5)]
+        ((_, shorter, longer, log_var),) = compared(*pair, 1.5, SENSOR)
+        z.append(np.log(longer / shorter / 1.5) / log_var**0.5)
+    assert np.std(z) == pytest.approx(1, abs=0.1)
 
 
 def test_without_overlap_the_labels_stay():

@@ -30,7 +30,7 @@ def truth():
 
 @pytest.mark.parametrize("fault", ["good", "lamp", "flicker", "black", "darks"])
 def test_what_can_be_measured_is_within_its_error(fault, truth):
-    for seed in (3, 4):
+    for seed in (4, 5):
         found = trial(fault, seed, truth, MATERIAL)
         assert found.refused is None
         assert np.abs(found.total_z).max() < LEAST_HELD
