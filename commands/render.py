@@ -147,7 +147,7 @@ def compare(scene: str, out: Path | None, mc_samples: int | None, seed: int, **g
 
     Pictures, their difference, errors and times.
     """
-    from bssrdf.render import compare_models, mc_refusal, scores_text, write_comparison
+    from bssrdf.render import compare_models, mc_refusal, mc_remarks, scores_text, write_comparison
     from bssrdf.report import steps
     from bssrdf.session import replace_folder
 
@@ -158,6 +158,9 @@ def compare(scene: str, out: Path | None, mc_samples: int | None, seed: int, **g
     refusal = "a .xml file holds no medium for mc" if isinstance(subject, Path) else mc_refusal(subject)
     if refusal:
         warn(f"{refusal}: bssrdf is the reference")
+    elif not isinstance(subject, Path):
+        for remark in mc_remarks(subject):
+            warn(remark)
     models: tuple[Model, ...] = ("brdf", "bssrdf") if refusal else ("brdf", "bssrdf", "mc")
     with _spoken(), steps(quiet=is_quiet()) as progress:
         pictures, scores = compare_models(
@@ -271,7 +274,7 @@ def _with_model(subject: Scene | Path, options: RenderOptions, model: str) -> Re
     """The options with the model that was asked for, or that `auto` chooses."""
     from dataclasses import replace
 
-    from bssrdf.render import choose_model, mc_refusal
+    from bssrdf.render import choose_model, mc_refusal, mc_remarks
 
     chosen: Any = model
     if isinstance(subject, Path):
@@ -284,7 +287,10 @@ def _with_model(subject: Scene | Path, options: RenderOptions, model: str) -> Re
         chosen, reason = choose_model(subject)
         _say(f"auto: {chosen} ({reason})")
     elif model == "mc" and (refusal := mc_refusal(subject)):
-        raise UsageError(f"{refusal}; use --roughness 0.3, another light, or --model bssrdf")
+        raise UsageError(f"{refusal}; use a wider light, or --model bssrdf")
+    elif model == "mc":
+        for remark in mc_remarks(subject):
+            warn(remark)
     if chosen == "mc" and len(options.terms) < 3:
         raise UsageError("mc has no terms to show apart; use --model bssrdf or brdf with --terms")
     return replace(options, model=chosen)

@@ -8,6 +8,7 @@ if TYPE_CHECKING:
     from bssrdf.render.choose import RULE as RULE
     from bssrdf.render.choose import choose_model as choose_model
     from bssrdf.render.choose import mc_refusal as mc_refusal
+    from bssrdf.render.choose import mc_remarks as mc_remarks
     from bssrdf.render.choose import remarks as remarks
     from bssrdf.render.choose import spread_mm as spread_mm
     from bssrdf.render.compare import compare_models as compare_models

@@ -104,3 +104,16 @@ def mc_refusal(scene: Scene) -> str | None:
     if scene.narrow_light and any(body.roughness == 0 and body.material.eta != 1 for body in scene.bodies.values()):
         return "mc does not find a narrow light through a polished surface"
     return None
+
+
+def mc_remarks(scene: Scene) -> list[str]:
+    """Warnings: Mitsuba's rough boundary forgets light that a microfacet sends on to the next one.
+
+    In an even sky a white ball (η 1.4) of roughness 0.1, 0.2, 0.3 returns 0.93, 0.83, 0.74 by mc, 1.00 by walks.
+    """
+    return [
+        f"{name}: mc loses light at a rough boundary, of a white body 7 % at roughness 0.1 and 26 % at 0.3; "
+        "--roughness 0 makes it a reference"
+        for name, body in scene.bodies.items()
+        if body.roughness > 0 and body.material.eta != 1
+    ]

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from bssrdf.errors import InputError, UsageError
-from bssrdf.render.choose import DEEP, WIDE, choose_model, mc_refusal, remarks, spread_mm
+from bssrdf.render.choose import DEEP, WIDE, choose_model, mc_refusal, mc_remarks, remarks, spread_mm
 from bssrdf.render.head import head_distance, head_mesh
 from bssrdf.render.material import HALF_ALBEDO, RenderMaterial, find_medium, medium_of_fit
 from bssrdf.render.picture import load_stage
@@ -193,6 +193,12 @@ def test_auto_takes_the_brdf_where_light_spreads_less_than_a_pixel() -> None:
 def test_what_volpath_does_not_find_is_refused() -> None:
     assert mc_refusal(build_scene("block"))
     assert mc_refusal(build_scene("block", roughness=0.3)) is None
+
+
+def test_mc_says_that_it_loses_light_on_rough_bodies_alone() -> None:
+    assert mc_remarks(build_scene("bust")) == []
+    (said,) = mc_remarks(build_scene("face"))
+    assert "loses light" in said
 
 
 @pytest.mark.usefixtures("renderer")
