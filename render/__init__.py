@@ -18,12 +18,12 @@ if TYPE_CHECKING:
     from bssrdf.render.draw import Goal as Goal
     from bssrdf.render.draw import Quality as Quality
     from bssrdf.render.draw import body_mask as body_mask
-    from bssrdf.render.draw import relative_noise as relative_noise
     from bssrdf.render.draw import render as render
     from bssrdf.render.material import HALF_ALBEDO as HALF_ALBEDO
     from bssrdf.render.material import RenderMaterial as RenderMaterial
     from bssrdf.render.material import find_medium as find_medium
     from bssrdf.render.mesh_file import read_mesh as read_mesh
+    from bssrdf.render.passes import relative_noise as relative_noise
     from bssrdf.render.picture import EPSILON as EPSILON
     from bssrdf.render.picture import WHITE_PERCENTILE as WHITE_PERCENTILE
     from bssrdf.render.picture import Picture as Picture

@@ -1,4 +1,4 @@
-"""Draws a picture in passes of their own seeds, which give its noise, until it is as good as asked or time is up."""
+"""Draws a picture in passes until it is as good as asked or time is up: all of it first, then where noise is left."""
 
 from __future__ import annotations
 
@@ -8,18 +8,20 @@ import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from bssrdf.render.picture import EPSILON, Picture, Pixels, Progress, Stage, load_stage, render_pass
+from bssrdf.render.passes import Mask, Passes
+from bssrdf.render.picture import Picture, Progress, Stage, load_stage, render_pass, render_pixels
 from bssrdf.render.plugins import RenderOptions
 from bssrdf.render.scenes.record import Scene
 
-SAMPLES_PER_PASS = 8
+SAMPLES_PER_PASS = 4
 MOST_SAMPLES = 256
 """Where noise falls so slowly that a goal is out of reach."""
+_AT_ONCE = 16
+"""Samples over all pixels, for memory. Few pixels may take as many: a pass costs a fifth of a second to begin."""
 _LEAST_PASSES = 2
 """Fewer do not tell their scatter."""
 
@@ -50,25 +52,6 @@ QUALITIES = {
 }
 
 
-@dataclass
-class _Passes:
-    """Mean and variance of passes so far (Welford)."""
-
-    mean: NDArray[np.float64]
-    squares: NDArray[np.float64]
-    count: int = 0
-
-    def add(self, image: Pixels) -> None:
-        self.count += 1
-        step = image - self.mean
-        self.mean += step / self.count
-        self.squares += step * (image - self.mean)
-
-    def variance(self) -> NDArray[np.float64]:
-        """Of the mean."""
-        return self.squares / max(self.count - 1, 1) / self.count
-
-
 def render(
     scene: Scene | Path,
     options: RenderOptions,
@@ -85,35 +68,38 @@ def render(
         say(f"auto: {stage.chosen}")
     prepare_s = _prepare(stage, progress)
     size = SAMPLES_PER_PASS if goal.samples is None else max(1, min(SAMPLES_PER_PASS, goal.samples // 2))
-    wanted = None if goal.samples is None else max(2, round(goal.samples / size))
     on_bodies = body_mask(stage)
-    passes = _Passes(np.zeros(()), np.zeros(()))
+    passes = Passes(*on_bodies.shape)
     times: list[float] = []
-    noise = math.inf
-    while not _is_done(passes.count, wanted, noise, goal, began, times):
+    while (todo := _todo(passes, size, on_bodies, goal, began, times)) is not None:
         if progress is not None:
-            progress(f"{stage.name}, {options.model}", passes.count, _expected(passes.count, wanted, noise, goal))
+            done, left = passes.samples.sum(), todo.left
+            progress(f"{stage.name}, {options.model}", int(done / on_bodies.size), int((done + left) / on_bodies.size))
         start = time.perf_counter()
-        image = render_pass(stage, size, seed * 100_003 + passes.count)
-        if passes.count == 0:
-            passes = _Passes(np.zeros(image.shape), np.zeros(image.shape))
-        passes.add(image)
+        _draw(stage, passes, todo, seed * 100_003 + passes.count)
         times.append(time.perf_counter() - start)
-        noise = relative_noise(passes.mean, passes.variance(), on_bodies) if passes.count >= 2 else math.inf
-        if say is not None and wanted is None and passes.count == _LEAST_PASSES:
-            say(_forecast(passes.count, size, noise, goal, prepare_s, times))
+        if say is not None and goal.samples is None and passes.count == _LEAST_PASSES:
+            say(_forecast(passes, on_bodies, goal, prepare_s, times))
     if not np.any(passes.mean):
         warnings.warn(f"{stage.name}: the picture is black; no light reaches what the camera sees", stacklevel=2)
-    compile_s = max(0.0, times[0] - float(np.median(times[1:])))
+    compile_s = max(0.0, times[0] - times[1])
     return Picture(
         passes.mean.astype(np.float32),
         passes.variance().astype(np.float32),
-        size * passes.count,
+        round(float(passes.samples.mean())),
         sum(times) - compile_s,
         compile_s,
         prepare_s,
-        noise,
+        passes.noise(on_bodies),
     )
+
+
+class _Todo(NamedTuple):
+    """The next pass: samples per pixel, of which pixels, None for all; and samples that are left in all."""
+
+    samples: int
+    where: Mask | None
+    left: float
 
 
 def _prepare(stage: Stage, progress: Progress | None) -> float:
@@ -124,43 +110,56 @@ def _prepare(stage: Stage, progress: Progress | None) -> float:
     return time.perf_counter() - began
 
 
-def _is_done(count: int, wanted: int | None, noise: float, goal: Goal, began: float, times: list[float]) -> bool:
-    if wanted is not None:
-        return count >= wanted
-    if count < _LEAST_PASSES:
-        return False
+def _todo(passes: Passes, size: int, on_bodies: Mask, goal: Goal, began: float, times: list[float]) -> _Todo | None:
+    """The next pass, None where the goal is met."""
+    pixels = on_bodies.size
+    if goal.samples is not None:
+        left = max(2, round(goal.samples / size)) - passes.count
+        return _Todo(size, None, left * size * pixels) if left > 0 else None
+    if passes.count < _LEAST_PASSES:
+        return _Todo(size, None, (_LEAST_PASSES - passes.count) * size * pixels)
     if goal.time_s is not None:
-        return time.perf_counter() - began + min(times) > goal.time_s
-    return noise <= goal.noise or count * SAMPLES_PER_PASS >= MOST_SAMPLES
+        rest = (goal.time_s - (time.perf_counter() - began)) / min(times)
+        return _Todo(size, None, math.ceil(rest) * size * pixels) if rest >= 1 else None
+    if passes.noise(on_bodies) <= goal.noise:
+        return None
+    return _of_noisy_pixels(passes, on_bodies, goal)
 
 
-def _expected(count: int, wanted: int | None, noise: float, goal: Goal) -> int:
-    """Passes in all."""
-    if wanted is not None:
-        return wanted
-    if count < _LEAST_PASSES or goal.noise == 0:
-        return max(count + 1, _LEAST_PASSES)
-    return max(count + 1, math.ceil(count * (noise / goal.noise) ** 2))
+def _of_noisy_pixels(passes: Passes, on_bodies: Mask, goal: Goal) -> _Todo | None:
+    """More samples where the goal is not met: twice as many as meet it, were all noise known and there."""
+    excess = passes.excess(on_bodies, goal.noise)
+    where = (excess > 1) & (passes.samples < MOST_SAMPLES)
+    if not where.any():
+        return None
+    had, chosen = passes.samples[where], np.count_nonzero(where)
+    left = np.minimum(excess[where] * had, MOST_SAMPLES) - had
+    enough = 2 * (passes.noise(on_bodies) / goal.noise) ** 2 - 1
+    samples = min(left.mean(), enough * had.mean(), _AT_ONCE * on_bodies.size / chosen)
+    side = max(math.isqrt(int(samples)), math.isqrt(SAMPLES_PER_PASS))
+    return _Todo(side**2, where, float(left.sum()))
 
 
-def _forecast(count: int, size: int, noise: float, goal: Goal, prepare_s: float, times: list[float]) -> str:
-    told = f"prepared in {prepare_s:.1f} s; noise {noise:.1%} after {count * size} samples per pixel"
-    if goal.noise == 0 or noise <= goal.noise:
+def _draw(stage: Stage, passes: Passes, todo: _Todo, seed: int) -> None:
+    if todo.where is None:
+        passes.add(render_pass(stage, todo.samples, seed), todo.samples)
+    elif stage.scene.sensors()[0].film().rfilter().is_box_filter():
+        passes.add(render_pixels(stage, todo.where, todo.samples, seed), todo.samples, todo.where)
+    else:  # neighbours share samples
+        passes.add(render_pass(stage, SAMPLES_PER_PASS, seed), SAMPLES_PER_PASS)
+
+
+def _forecast(passes: Passes, on_bodies: Mask, goal: Goal, prepare_s: float, times: list[float]) -> str:
+    drawn, noise = float(passes.samples.mean()), passes.noise(on_bodies)
+    told = f"prepared in {prepare_s:.1f} s; noise {noise:.1%} after {drawn:.0f} samples per pixel"
+    todo = None if noise <= goal.noise or goal.noise == 0 else _of_noisy_pixels(passes, on_bodies, goal)
+    if todo is None:
         return told
-    left = _expected(count, None, noise, goal) - count
-    return f"{told}; {goal.noise:.0%} takes {left * size} more, {left * min(times):.0f} s"
+    left = todo.left / on_bodies.size
+    return f"{told}; {goal.noise:.0%} takes up to {left:.0f} more, {left * min(times) * passes.count / drawn:.0f} s"
 
 
-def relative_noise(mean: NDArray[Any], variance: NDArray[Any], where: NDArray[np.bool_]) -> float:
-    """Root mean square of the relative standard error of pixels, those far below the mean held to a tenth of it."""
-    lit = where & (mean.max(axis=2) > 0)
-    if not lit.any():
-        return 0.0
-    target = np.square(mean[lit]) + EPSILON * np.square(mean[lit].mean(axis=0))
-    return float(np.sqrt((variance[lit] / np.maximum(target, 1e-30)).mean()))
-
-
-def body_mask(stage: Stage) -> NDArray[np.bool_]:
+def body_mask(stage: Stage) -> Mask:
     """Pixels in whose middle a translucent body is seen, (h, w); all where none is."""
     import mitsuba as mi
 

@@ -41,7 +41,8 @@ class Settings:
     paper: bool = False
     """As printed: no 1/C in the exit lobe, no 1/η² in the local single scattering."""
     max_depth: int = 1 << 24
-    rr_depth: int = 5
+    rr_depth: int = 2
+    """Surfaces from which on Russian roulette ends paths: on the bust 2 takes two thirds of the time that 5 takes."""
     hide_emitters: bool = False
     mirrors_apart: bool = False
     """Leave out lamps that polished bodies mirror first of all: `points.mirrored` follows them."""

@@ -96,6 +96,24 @@ def render_pass(stage: Stage, samples: int, seed: int) -> Pixels:
     return np.array(image, dtype=np.float32)[..., :3]
 
 
+def render_pixels(stage: Stage, where: NDArray[np.bool_], samples: int, seed: int) -> Pixels:
+    """Some pixels of the image, (k, 3), those of `where` (h, w), as a box filter sees them."""
+    import mitsuba as mi
+
+    sensor = stage.scene.sensors()[0]
+    sampler = sensor.sampler().fork()
+    sampler.set_sample_count(samples)
+    samples = sampler.sample_count()  # as the sampler fills a pixel
+    sampler.set_samples_per_wavefront(samples)
+    row, column = (np.repeat(index.astype(np.float32), samples) for index in np.nonzero(where))
+    sampler.seed(seed, len(row))
+    height, width = where.shape
+    place = (mi.Vector2f(column, row) + sampler.next_2d()) / mi.Vector2f(width, height)
+    ray, weight = sensor.sample_ray(0.0, sampler.next_1d(), mi.Point2f(place), sampler.next_2d())
+    found = stage.integrator.sample(stage.scene, sampler, mi.RayDifferential3f(ray))[0]
+    return np.array(mi.unpolarized_spectrum(found * weight), np.float32).reshape(3, -1, samples).mean(axis=2).T
+
+
 def exposure(radiance: Pixels, percentile: float = WHITE_PERCENTILE) -> float:
     """Factor that brings the bright parts of a picture just below white."""
     luminance = radiance @ np.array([0.2126, 0.7152, 0.0722], np.float32)

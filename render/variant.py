@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import functools
+import importlib.metadata
 import importlib.util
 import os
+import platform
 import re
 import subprocess
 import sys
@@ -59,7 +61,7 @@ def use_variant(colour: Literal["rgb", "mono"] = "rgb") -> str:
     """
     if importlib.util.find_spec("mitsuba") is None:
         raise InputError(MISSING)
-    backend = find_backend()
+    backend = _known_backend() or find_backend()
     if backend is None:
         raise InputError(ADVICE)
     if backend.library is not None:
@@ -70,6 +72,27 @@ def use_variant(colour: Literal["rgb", "mono"] = "rgb") -> str:
     if mitsuba.variant() != name:
         mitsuba.set_variant(name)
     return name
+
+
+def _known_backend() -> Backend | None:
+    """The libLLVM that was found before, while it, Mitsuba and the computer stay the same: a trial takes a second."""
+    from bssrdf.render.kept import kept
+
+    libraries = [(str(path), path.stat().st_mtime_ns) for path in _candidates() if path.exists()]
+    versions = [importlib.metadata.version(package) for package in ("mitsuba", "drjit")]
+    try:
+        found = kept("libllvm", (platform.node(), platform.machine(), *versions, *libraries), _llvm)
+    except InputError:
+        return None
+    return Backend("llvm", Path(str(found["library"])))
+
+
+def _llvm() -> dict[str, str]:
+    """Raises InputError where none works: what fails is tried again next time."""
+    backend = find_backend()
+    if backend is None or backend.library is None:
+        raise InputError(ADVICE)
+    return {"library": str(backend.library)}
 
 
 @functools.cache

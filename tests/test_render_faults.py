@@ -114,3 +114,19 @@ def test_a_black_picture_is_told() -> None:
     scene = Scene("dark", {"ball": body}, {"sky": sky}, Viewpoint((0, -5, 0), (0, 0, 0), pixels=(4, 4)))
     with pytest.warns(UserWarning, match="picture is black"):
         render(scene, RenderOptions("brdf"), Goal(samples=2))
+
+
+def test_a_library_that_worked_is_remembered_until_it_or_mitsuba_changes(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    from bssrdf.render import kept, variant
+
+    monkeypatch.setattr(kept, "cache_directory", lambda: tmp_path)
+    tried = []
+    found = variant.find_backend()
+    monkeypatch.setattr(variant, "find_backend", lambda: tried.append(1) or found)
+    assert variant._known_backend() == variant._known_backend() == found
+    assert tried == [1]
+    monkeypatch.setattr("importlib.metadata.version", lambda package: "9.9")
+    assert variant._known_backend() == found
+    assert tried == [1, 1]
