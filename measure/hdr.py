@@ -87,7 +87,7 @@ class Planes(Protocol):
     def mask(self) -> Bits: ...
     @property
     def shape(self) -> tuple[int, ...]: ...
-    def rows(self, low: int, high: int) -> Pixels: ...
+    def window(self, rows: slice, columns: slice) -> Pixels: ...
 
 
 @dataclass(frozen=True)
@@ -104,9 +104,9 @@ class Hdr:
         """(h, w), or (h, w, 3)."""
         return self.radiance.shape
 
-    def rows(self, low: int, high: int) -> Pixels:
-        """The pixels of some rows."""
-        return Pixels(self.radiance, self.variance, self.mask).at(slice(low, high))
+    def window(self, rows: slice, columns: slice) -> Pixels:
+        """The pixels of some rows and columns."""
+        return Pixels(self.radiance, self.variance, self.mask).at((rows, columns))
 
     def n_missing(self) -> int:
         """Pixels that hold no data, those that saturate left out."""

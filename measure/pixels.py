@@ -60,23 +60,32 @@ class Grid:
 
     def strip(self, low: int, high: int) -> Pixels:
         """Rows of the grid."""
-        first = self.first_px[1]
-        rows = self.image.rows(first + self.step_px * low, first + self.step_px * (high - 1) + 1)
-        return rows.at((slice(None, None, self.step_px), *self._columns))
+        return self._window((low, high), (0, self.shape[1]))
 
     def at(self, rows: Any, columns: Any) -> Pixels:
         """The pixels at these places in the grid, arrays of one shape."""
-        low, high = (int(rows.min()), int(rows.max()) + 1) if rows.size else (0, 1)
-        return self.strip(low, high).at((rows - low, columns))
+        if not rows.size:
+            return self.strip(0, 1).at((rows, columns))
+        (top, bottom), (left, right) = ((int(each.min()), int(each.max()) + 1) for each in (rows, columns))
+        return self._window((top, bottom), (left, right)).at((rows - top, columns - left))
+
+    def _window(self, *ends: tuple[int, int]) -> Pixels:
+        """Rows and columns of the grid, each from and up to one."""
+        parts = (
+            slice(first + self.step_px * low, first + self.step_px * (high - 1) + 1)
+            for first, (low, high) in zip(self.first_px[::-1], ends, strict=True)
+        )
+        return self.image.window(*parts).at(self._every)
 
     @property
-    def _columns(self) -> tuple[Any, ...]:
-        columns = slice(self.first_px[0], None, self.step_px)
-        return (columns,) if self.channel is None else (columns, self.channel)
+    def _every(self) -> tuple[Any, ...]:
+        """The grid's pixels among those from its first on."""
+        every = slice(None, None, self.step_px)
+        return (every, every) if self.channel is None else (every, every, self.channel)
 
     def _of(self, plane: NDArray[Any]) -> NDArray[Any]:
-        where: Any = (slice(self.first_px[1], None, self.step_px), *self._columns)
-        return plane[where]
+        column, row = self.first_px
+        return plane[row:, column:][self._every]
 
 
 def channel_names(layout: str, beam: Beam) -> tuple[str, ...]:

@@ -58,10 +58,9 @@ class Summary:
 
 def summary_of(image: Planes, layout: str, channels: Sequence[str]) -> Summary:
     """The summary of these channels, from all pixels."""
+    n_saturated = _n_saturated(image)  # asks for all pixels of a stored image at once
     grids = (grid for channel in channels for grid in grids_of(image, layout, channel))
-    return Summary(
-        _overview(image, layout), _n_saturated(image), {grid.place: _of_grid(grid, layout) for grid in grids}
-    )
+    return Summary(_overview(image, layout), n_saturated, {grid.place: _of_grid(grid, layout) for grid in grids})
 
 
 def overview_side(shape: tuple[int, ...], layout: str) -> int:
@@ -76,8 +75,8 @@ def _overview(image: Planes, layout: str) -> Plane:
     step = side * max(1, _ROWS // side)
     strips = []
     for top in range(0, rows * side, step):
-        pixels = image.rows(top, min(top + step, rows * side))
-        good = np.where(pixels.good, pixels.radiance, np.float32(0))[:, : columns * side]
+        pixels = image.window(slice(top, min(top + step, rows * side)), slice(0, columns * side))
+        good = np.where(pixels.good, pixels.radiance, np.float32(0))
         size = (columns, max(1, len(good) // side))
         strips.append(cv2.resize(good, size, interpolation=cv2.INTER_AREA))
     small = np.concatenate(strips)

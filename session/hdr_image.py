@@ -150,15 +150,16 @@ def _rgb_of_xyz() -> NDArray[np.float64]:
 
 
 _PROVENANCE = "bssrdf:provenance"
+_TILE_PX = 128
 
 
 def write_hdr_exr(path: Path, parts: Mapping[str, NDArray[Any]], provenance: Mapping[str, Any]) -> None:
-    """Write `parts`, radiance, variance, count and mask, each (h, w) or (h, w, 3), as float32."""
+    """Write `parts`, radiance, variance, count and mask, each (h, w) or (h, w, 3): floats, or unsigned integers."""
     from bssrdf.session.oiio_file import write_exr
 
-    planes = [(name, np.atleast_3d(np.asarray(parts[name], np.float32))) for name in OUR_PARTS]
+    planes = [(name, np.atleast_3d(parts[name])) for name in OUR_PARTS]
     with atomic_write(path) as unfinished:
-        write_exr(unfinished, planes, {_PROVENANCE: json.dumps(provenance, default=float)})
+        write_exr(unfinished, planes, {_PROVENANCE: json.dumps(provenance, default=float)}, _TILE_PX)
 
 
 def is_ours(path: Path) -> bool:
@@ -169,13 +170,13 @@ def is_ours(path: Path) -> bool:
 
 
 class HdrExr:
-    """An EXR that `bssrdf measure` wrote, whose rows are read when they are asked for."""
+    """An EXR that `bssrdf measure` wrote, of which windows are read when they are asked for."""
 
     def __init__(self, path: Path) -> None:
         """InputError where the file cannot be read or a part is missing."""
-        from bssrdf.session.oiio_file import ImageRows
+        from bssrdf.session.oiio_file import ImageWindows
 
-        self._images = ImageRows(path)
+        self._images = ImageWindows(path)
         names = self._images.names
         for name in OUR_PARTS:
             if name not in names:
@@ -193,15 +194,19 @@ class HdrExr:
         except (TypeError, ValueError) as error:
             raise InputError(f"{path}: its provenance is not JSON ({error}); run `bssrdf measure` again") from error
 
-    def rows(self, part: str, low: int, high: int) -> Plane:
-        """Rows of a part, (rows, w) or (rows, w, 3); InputError where they cannot be read."""
-        return _flat(self._images.read(self._index[part], low, high))
+    def window(self, part: str, rows: slice, columns: slice) -> NDArray[Any]:
+        """A window of a part, (rows, columns) or (rows, columns, 3); InputError where it cannot be read."""
+        return _flat(self._images.read(self._index[part], rows, columns))
+
+    def whole(self, part: str) -> NDArray[Any]:
+        """The same of the whole part."""
+        return self.window(part, slice(0, self.shape[0]), slice(0, self.shape[1]))
 
 
 def read_hdr_exr(path: Path) -> tuple[dict[str, Plane], dict[str, Any]]:
     """The parts by name, each (h, w) or (h, w, 3), and the provenance; InputError where a part is missing."""
     stored = HdrExr(path)
-    return {name: stored.rows(name, 0, stored.shape[0]) for name in OUR_PARTS}, stored.provenance
+    return {name: stored.whole(name).astype(np.float32) for name in OUR_PARTS}, stored.provenance
 
 
 def _flat(data: NDArray[Any]) -> NDArray[Any]:

@@ -110,8 +110,8 @@ def _read(path: Path, file: Any) -> StoredImage:
     return StoredImage(pixels, tuple(spec.channelnames), attributes.get("oiio:subimagename", ""), attributes)
 
 
-class ImageRows:
-    """The images of a file by their name, whose rows are read when they are asked for."""
+class ImageWindows:
+    """The images of a file by their name, of which windows are read when they are asked for."""
 
     def __init__(self, path: Path) -> None:
         """InputError where the file is not there or none of the kinds that can be read."""
@@ -129,21 +129,32 @@ class ImageRows:
         spec = self._specs[index]
         return spec.full_height, spec.full_width, spec.nchannels
 
-    def read(self, index: int, low: int, high: int) -> NDArray[np.float32]:
-        """Rows of an image as floats, (rows, w, channels); InputError where they cannot be read."""
+    def read(self, index: int, rows: slice, columns: slice) -> NDArray[Any]:
+        """A window of an image, (rows, columns, channels), half or float as stored; InputError where it fails."""
         with _no_text(self._path):
-            return self._read(index, low, high)
+            return self._read(index, rows, columns)
 
-    def _read(self, index: int, low: int, high: int) -> NDArray[np.float32]:
+    def _read(self, index: int, rows: slice, columns: slice) -> NDArray[Any]:
         spec, file = self._specs[index], self._file
         placed = (spec.x - spec.full_x, spec.y - spec.full_y, spec.height, spec.width)
-        if placed != (0, 0, spec.full_height, spec.full_width) or spec.tile_width:
+        if placed != (0, 0, spec.full_height, spec.full_width):
             file.seek_subimage(index, 0)
-            return _read(self._path, file).data.astype(np.float32)[low:high]
-        data = file.read_scanlines(index, 0, spec.y + low, spec.y + high, 0, 0, spec.nchannels, "float")
+            return _read(self._path, file).data[rows, columns]
+        dtype = "half" if str(spec.format) == "half" else "float"
+        (top, bottom), (left, right) = (rows.start, rows.stop), (columns.start, columns.stop)
+        if spec.tile_width:
+            high, wide = spec.tile_height, spec.tile_width
+            top, left = top - top % high, left - left % wide
+            bottom, right = min(-(-bottom // high) * high, spec.height), min(-(-right // wide) * wide, spec.width)
+            box = (spec.x + left, spec.x + right, spec.y + top, spec.y + bottom, 0, 1)
+            data = file.read_tiles(index, 0, *box, 0, spec.nchannels, dtype)
+        else:
+            left, right = 0, spec.width
+            data = file.read_scanlines(index, 0, spec.y + top, spec.y + bottom, 0, 0, spec.nchannels, dtype)
         if data is None or file.has_error:
             raise _unreadable(self._path, file.geterror())
-        return np.asarray(data, np.float32).reshape(high - low, spec.width, spec.nchannels)
+        whole = np.asarray(data).reshape(bottom - top, right - left, spec.nchannels)
+        return whole[rows.start - top : rows.stop - top, columns.start - left : columns.stop - left]
 
 
 def _in_display_window(path: Path, spec: Any, pixels: NDArray[Any]) -> NDArray[Any]:
@@ -173,32 +184,43 @@ def _unreadable(path: Path, reason: str) -> InputError:
     return InputError(f"{path}: cannot be read as an image ({lines[0]}); copy or take the file again")
 
 
-def write_exr(path: Path, parts: Sequence[tuple[str, NDArray[np.float32]]], attributes: dict[str, str]) -> None:
-    """Write float32 images of shape (h, w, channels) as the named parts of one EXR; `attributes` go into the first.
+def write_exr(
+    path: Path, parts: Sequence[tuple[str, NDArray[Any]]], attributes: dict[str, str], tile_px: int = 0
+) -> None:
+    """Write images of shape (h, w, channels) as the named parts of one EXR; `attributes` go into the first.
 
-    Parts of whole numbers up to 2,048, which half precision holds, are stored in it.
+    They are stored as float, unsigned integers up to 2,048 as half, which holds these. With `tile_px` in tiles, of
+    which a reader gets those that it needs, else line by line.
     """
-    small = [name for name, data in parts if data.max() <= _MOST_IN_HALF and np.array_equal(data, np.rint(data))]
+    planes = [(name, _storable(data)) for name, data in parts]
     specs = []
-    for name, data in parts:
+    for name, data in planes:
         height, width, channels = data.shape
-        spec = oiio.ImageSpec(width, height, channels, "half" if name in small else "float")
+        small = data.dtype == np.float16
+        spec = oiio.ImageSpec(width, height, channels, "half" if small else "float")
         spec.channelnames = ("Y",) if channels == 1 else ("R", "G", "B")
         spec.attribute("oiio:subimagename", name)
-        spec.attribute("compression", "zip" if name in small else "none")  # noise does not shrink
+        spec.attribute("compression", "zip" if small else "none")  # noise does not shrink
+        spec.tile_width = spec.tile_height = tile_px
+        spec.tile_depth = 1
         specs.append(spec)
     for key, value in attributes.items():
         specs[0].attribute(key, value)
     file: Any = oiio.ImageOutput.create("exr")
     try:
         done = file.open(str(path), specs)
-        for i, (_, data) in enumerate(parts):
+        for i, (_, data) in enumerate(planes):
             done = done and (i == 0 or file.open(str(path), specs[i], "AppendSubimage"))
             done = done and file.write_image(np.ascontiguousarray(data))
     finally:
         closed = file.close()
     if not (done and closed):
         raise InputError(f"{path}: cannot be written ({file.geterror() or oiio.geterror()}); choose another place")
+
+
+def _storable(data: NDArray[Any]) -> NDArray[Any]:
+    small = data.dtype.kind == "u" and data.max(initial=0) <= _MOST_IN_HALF
+    return data.astype(np.float16 if small else np.float32, copy=False)
 
 
 def write_png(path: Path, pixels: NDArray[np.uint8], attributes: dict[str, str]) -> None:

@@ -9,8 +9,9 @@ import pytest
 from wax_session import write_session
 
 from bssrdf.errors import InputError
-from bssrdf.measure.hdr import SATURATED
+from bssrdf.measure.hdr import SATURATED, Hdr
 from bssrdf.measure.session import measure_session
+from bssrdf.measure.stored import StoredHdr
 from bssrdf.measure.summary import read_summary
 from bssrdf.session.flags import Flag
 from bssrdf.session.frames_csv import read_frames, write_frames
@@ -35,27 +36,51 @@ def test_a_curve_from_the_merged_images_is_that_of_the_whole_run_and_reads_no_fr
         np.testing.assert_array_equal(part.rd_per_mm2, radial.slice.channels[name].rd_per_mm2)
 
 
-def rows_read(monkeypatch):
-    """The rows of each part that are read from then on."""
-    read, rows = HdrExr.rows, set()
+def squares_read(monkeypatch):
+    """The pixels of each part that are read from then on, by part."""
+    read, n_read = HdrExr.window, dict[str, int]()
 
-    def watched(self, part, low, high):
-        rows.update((part, row) for row in range(low, high))
-        return read(self, part, low, high)
+    def watched(self, part, rows, columns):
+        window = read(self, part, rows, columns)
+        n_read[part] = n_read.get(part, 0) + window.size
+        return window
 
-    monkeypatch.setattr(HdrExr, "rows", watched)
-    return rows
+    monkeypatch.setattr(HdrExr, "window", watched)
+    return n_read
 
 
 def test_a_curve_read_again_needs_the_pixels_near_the_slice_alone(tmp_path, monkeypatch):
     session = write_session(tmp_path / "tall", shape=(2000, 120))
     measure_session(session)
     before = curve_files(session.path / "measured")
-    rows = rows_read(monkeypatch)
+    n_read = squares_read(monkeypatch)
     measure_session(session, from_hdr=True)
     assert curve_files(session.path / "measured") == before
-    assert {part for part, _ in rows} == {"radiance", "variance", "mask"}
-    assert len(rows) < 0.5 * 3 * 2000
+    assert n_read.keys() == {"radiance", "variance", "mask"}
+    assert max(n_read.values()) < 0.6 * 2 * 2000 * 120
+
+
+@pytest.mark.parametrize(("colours", "tile_px"), [((), 0), ((), 128), ((3,), 128)])
+def test_a_window_of_a_stored_image_is_that_of_the_image_and_of_squares_read_once(
+    tmp_path, monkeypatch, colours, tile_px
+):
+    monkeypatch.setattr("bssrdf.session.hdr_image._TILE_PX", tile_px)
+    rng, shape = np.random.default_rng(0), (300, 700, *colours)
+    radiance, variance = rng.normal(size=(2, *shape)).astype(np.float32)
+    count, mask = rng.integers(0, 5, (2, *shape)).astype(np.uint16)
+    hdr = Hdr(radiance, variance, count, mask.astype(np.uint8))
+    write_hdr_exr(tmp_path / "a.exr", vars(hdr), {})
+    stored, n_read = StoredHdr(tmp_path / "a.exr"), squares_read(monkeypatch)
+    windows = [(slice(140, 150), slice(10, 20)), (slice(100, 140), slice(300, 301)), (slice(5, 300), slice(0, None))]
+    for rows, columns in [*windows, (slice(None), slice(None))]:
+        for ours, its in zip(hdr.window(rows, columns), stored.window(rows, columns), strict=True):
+            np.testing.assert_array_equal(ours, its)
+        if rows == windows[0][0]:
+            assert n_read["mask"] == 128 * 128 * radiance[0, 0].size
+    np.testing.assert_array_equal(stored.count, count)
+    before = n_read["radiance"]
+    assert stored.window(slice(1, 299), slice(0, 700)).mask.shape == (298, *shape[1:])
+    assert n_read["radiance"] == before
 
 
 @pytest.mark.parametrize("spoil", [Path.unlink, Path.touch, lambda path: path.write_bytes(path.read_bytes()[:9999])])
