@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bssrdf.errors import InputError
 from bssrdf.fit.compiled import FROM
@@ -112,21 +111,19 @@ def _of_equal_nodes(jobs: Sequence[Job], places: list[int], options: Options) ->
 
 
 def _key(job: Job, options: Options) -> Any:
-    first = job.pieces[0]
-    seen = tuple((p.exit, p.flux, p.view_angle_deg, p.incidence_deg, p.azimuth) for p in job.pieces)
-    size = math.ceil(math.log2(max(len(p.channels[job.channel].r_mm) for p in job.pieces)))
-    binned = tuple(p.channels[job.channel].r_lo_mm is not None for p in job.pieces)
-    spot = tuple(p.spot_radius_mm is not None for p in job.pieces)
-    stated = tuple(_stated(piece) for piece in job.pieces)
-    totals = _totals_of(job, options.constraint)
-    samples = tuple(held(piece).kind for piece in job.pieces), _same(job, _depth_of), _same(job, _back_of)
-    return (first.eta, first.g, seen, binned, spot, stated, _sharing(job), totals, size, samples)
+    """What the jobs of a batch have in common."""
+    parts = [piece.channels[job.channel] for piece in job.pieces]
+    size = math.ceil(math.log2(max(len(part.r_mm) for part in parts)))
+    binned = tuple(part.r_lo_mm is not None for part in parts)
+    several = (_sharing(job), _same(job, _depth_of), _same(job, _back_of)) if len(parts) > 1 else ()
+    return (tuple(map(_kind, job.pieces)), size, binned, _totals_of(job, options.constraint), several)
 
 
-def _stated(piece: Slice) -> tuple[bool, ...]:
-    lengths = (piece.scale_rel_sd, piece.mm_rel_sd, piece.spot_radius_sd_mm, piece.view_angle_sd_deg)
-    one = held(piece)
-    return tuple(bool(sd) for sd in (*lengths, piece.eta_sd, piece.g_sd, one.thickness_rel_sd, one.back_sd))
+def _kind(piece: Slice) -> tuple[Any, ...]:
+    """All of a slice that its model, its sight and its shared errors hang on, but for their sizes."""
+    seen = piece.exit, piece.flux, piece.view_angle_deg, piece.incidence_deg, piece.azimuth
+    stated = tuple(sd > 0 for sd in _sds_of(piece))
+    return (piece.eta, piece.g, seen, piece.spot_radius_mm is not None, stated, held(piece).kind)
 
 
 def _sharing(job: Job) -> tuple[int, ...]:
@@ -151,33 +148,23 @@ def _back_of(one: Held) -> tuple[float, ...]:
 
 def _totals_of(job: Job, asked: Constraint | None) -> _Totals:
     """By what was asked for, else by whether R has an error."""
-    known = {at: piece.total_r_sd.get(job.channel, 0.0) for at, piece in _with_total(job)}
-    weighed = [at for at, sd in known.items() if sd > 0]
-    if asked in ("exact", "soft") and not known:
-        raise InputError(f"constraint {asked} needs total_r for channel {job.channel}: give it, or --constraint none")
+    name = job.channel
+    sds = {at: p.total_r_sd.get(name, 0.0) for at, p in enumerate(job.pieces) if name in p.total_r}
+    weighed = [at for at, sd in sds.items() if sd > 0]
+    if asked in ("exact", "soft") and not sds:
+        raise InputError(f"constraint {asked} needs total_r for channel {name}: give it, or --constraint none")
     if asked == "soft" and not weighed:
-        raise InputError(f"constraint soft needs total_r_sd for channel {job.channel}: give it, or --constraint exact")
-    if asked == "none" or not known:
+        raise InputError(f"constraint soft needs total_r_sd for channel {name}: give it, or --constraint exact")
+    if asked == "none" or not sds:
         return _Totals(False, ())
     exact = asked == "exact" or not weighed
-    places = _told_once(job, known if exact else weighed)
-    if exact and len(places) > 1:
-        raise InputError(f"R of channel {job.channel} has no error: give total_r_sd to weigh it, or --constraint none")
-    return _Totals(exact, places)
-
-
-def _with_total(job: Job) -> Iterator[tuple[int, Slice]]:
-    return ((at, piece) for at, piece in enumerate(job.pieces) if job.channel in piece.total_r)
-
-
-def _told_once(job: Job, places: Iterable[int]) -> tuple[int, ...]:
-    """One R against the same tile with the same value counts once."""
-    chosen: dict[Any, int] = {}
-    for at in places:
+    once: dict[Any, int] = {}  # one R against the same tile with the same value counts once
+    for at in sds if exact else weighed:
         piece = job.pieces[at]
-        told = (piece.shared_errors, piece.total_r[job.channel], piece.total_r_sd.get(job.channel, 0.0))
-        chosen.setdefault(told if piece.shared_errors else at, at)
-    return tuple(chosen.values())
+        once.setdefault((piece.shared_errors, piece.total_r[name], sds[at]) if piece.shared_errors else at, at)
+    if exact and len(once) > 1:
+        raise InputError(f"R of channel {name} has no error: give total_r_sd to weigh it, or --constraint none")
+    return _Totals(exact, tuple(once.values()))
 
 
 def problem_of(jobs: Sequence[Job], options: Options, model: Light, aside: Neighbours) -> tuple[Plan, Problem]:
@@ -189,7 +176,9 @@ def problem_of(jobs: Sequence[Job], options: Options, model: Light, aside: Neigh
     sights = [sight_of(piece, c) for piece, c in zip(pieces, curves, strict=True)]
     if any(sight.blurred for sight in sights):  # a slice in parts is blurred as the whole is
         sights = [sight_of(p, c, blurred=bool(c.spot_radius.any())) for p, c in zip(pieces, curves, strict=True)]
-    sds = tuple(_sds(each) for each in by_slice)
+    sds = tuple(
+        Sds(*(np.array([[sd] for sd in of]) for of in zip(*map(_sds_of, each), strict=True))) for each in by_slice
+    )
     totals = _totals_of(first, options.constraint)
     plan = Plan(
         totals=totals.places,
@@ -206,19 +195,17 @@ def problem_of(jobs: Sequence[Job], options: Options, model: Light, aside: Neigh
     return plan, Problem(tuple(curves), measured, sds, tuple(_factor_slopes(piece) for piece in pieces), samples)
 
 
-def _sds(pieces: Sequence[Slice]) -> Sds:
-    def column(values: Sequence[float | None]) -> NDArray[np.float64]:
-        return np.array([[value or 0.0] for value in values])
-
+def _sds_of(piece: Slice) -> Sds:
+    sample = held(piece)
     return Sds(
-        scale=column([p.scale_rel_sd for p in pieces]),
-        length=column([p.mm_rel_sd for p in pieces]),
-        spot=column([(p.spot_radius_sd_mm or 0.0) / (p.spot_radius_mm or 1.0) for p in pieces]),
-        view=np.radians(column([p.view_angle_sd_deg for p in pieces])),
-        eta=column([p.eta_sd for p in pieces]),
-        g=column([p.g_sd for p in pieces]),
-        thickness=column([held(p).thickness_rel_sd for p in pieces]),
-        back=column([held(p).back_sd for p in pieces]),
+        scale=piece.scale_rel_sd or 0.0,
+        length=piece.mm_rel_sd or 0.0,
+        spot=(piece.spot_radius_sd_mm or 0.0) / (piece.spot_radius_mm or 1.0),
+        view=math.radians(piece.view_angle_sd_deg or 0.0),
+        eta=piece.eta_sd or 0.0,
+        g=piece.g_sd or 0.0,
+        thickness=sample.thickness_rel_sd,
+        back=sample.back_sd,
     )
 
 

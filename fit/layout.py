@@ -109,7 +109,8 @@ def camera_factor(piece: Slice, *, eta: float | None = None, view_deg: float | N
 
 
 def curves_of(pieces: Sequence[Slice], names: Sequence[str], window_mm: tuple[float, float] | None) -> Curves:
-    """One named channel of each slice, radii ascending, padded to one length; what stands twice is looked at once."""
+    """One named channel of each slice, all in one convention: radii ascending, padded to one length; what stands twice
+    is looked at once."""
     channels = [piece.channels[name] for piece, name in zip(pieces, names, strict=True)]
     size = np.array([channel.r_mm.size for channel in channels])
     there = np.arange(size.max()) < size[:, None]
@@ -119,7 +120,7 @@ def curves_of(pieces: Sequence[Slice], names: Sequence[str], window_mm: tuple[fl
         out[there] = np.concatenate(arrays)
         return out
 
-    factor = np.array([[camera_factor(piece)] for piece in pieces])
+    factor = camera_factor(pieces[0])
     r = padded([channel.r_mm for channel in channels])
     r_lo, r_hi = (padded(list(each)) for each in zip(*(edges(channel) for channel in channels), strict=True))
     rd, sd = (padded([getattr(channel, key) for channel in channels]) / factor for key in ("rd_per_mm2", "sd_per_mm2"))
@@ -143,10 +144,10 @@ def curves_of(pieces: Sequence[Slice], names: Sequence[str], window_mm: tuple[fl
 
 def total_of(pieces: Sequence[Slice], names: Sequence[str]) -> Total:
     """R of the named channel of each slice, in the models' convention; NaN where it is not known."""
-    named = list(zip(pieces, names, strict=True))
+    factor = camera_factor(pieces[0])
     return Total(
         *(
-            np.array([[getattr(piece, key).get(name, math.nan) / camera_factor(piece)] for piece, name in named])
+            np.array([[getattr(p, key).get(name, math.nan)] for p, name in zip(pieces, names, strict=True)]) / factor
             for key in ("total_r", "total_r_sd")
         )
     )

@@ -17,6 +17,7 @@ from bssrdf.session.records import Slice
 
 NAN = float("nan")
 Bools = NDArray[np.bool_]
+Floats = NDArray[np.float64]
 BRIGHT = 0.6
 """Of a half space's R: from here on σa hangs on the light that comes back from the depth."""
 THIN, THIN_ON_BLACK = 4.0, 8.0
@@ -48,11 +49,18 @@ NOTHING = InSample(NAN, NAN, NAN, {})
 """Of slices that say nothing of depth, back or wall."""
 
 
-def in_sample(fitted: Fitted, row: int, sigma_a_shares: Mapping[str, float], rel_sd: float, off: float) -> InSample:
-    """From the row's optimum; `rel_sd` of σa with its shares of the variance, `off` its relative model error."""
+def in_samples(fitted: Fitted, sigma_a_shares: Mapping[str, Floats], rel_sd: Floats, off: Floats) -> list[InSample]:
+    """From each row's optimum; `rel_sd` of σa with its shares of the variance, `off` its relative model error."""
+    of_sample = sum(sigma_a_shares.get(name, 0.0) for name in ("thickness", "back")) + 0 * rel_sd
+    return [
+        _in_sample(fitted, row, *(float(each[row]) for each in (of_sample, rel_sd, off)))
+        if any(_told(piece) for piece in job.pieces) else NOTHING
+        for row, job in enumerate(fitted.jobs)
+    ]  # fmt: skip
+
+
+def _in_sample(fitted: Fitted, row: int, of_sample: float, rel_sd: float, off: float) -> InSample:
     pieces = fitted.jobs[row].pieces
-    if not any(_told(piece) for piece in pieces):
-        return NOTHING
     sigma_tp = math.exp(float(fitted.found.point.log_sigma[row, 0]))
     q = max(float(fitted.found.point.q[row, 0]), 0.0)
     every = [held(piece) for piece in pieces]
@@ -60,7 +68,6 @@ def in_sample(fitted: Fitted, row: int, sigma_a_shares: Mapping[str, float], rel
     depths = [one.thickness * sigma_tp for one in every if one.thickness < math.inf]
     half_space = float(fitted.judged.seen.half[row, 0])
     bright = half_space >= BRIGHT
-    of_sample = sum(sigma_a_shares.get(name, 0.0) for name in ("thickness", "back"))
     thin = [_thin(one, sigma_tp, bright, THIN, THIN_ON_BLACK) for one in every]
     narrow = [one.kind == "dish" and one.radius * sigma_tp < NARROW for one in every]
     unknown = math.hypot(math.sqrt(of_sample) * rel_sd, off) > MOST_UNKNOWN

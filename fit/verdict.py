@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from functools import lru_cache
+from itertools import compress
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -15,7 +17,7 @@ from bssrdf.fit.layout import camera_factor
 from bssrdf.fit.models import OBLIQUE_DEG, is_clamped
 from bssrdf.fit.neighbours import Bias, to_log
 from bssrdf.fit.outliers import has_outliers
-from bssrdf.fit.sample_verdict import InSample, in_sample, thin_rows
+from bssrdf.fit.sample_verdict import InSample, in_samples, thin_rows
 from bssrdf.session.flags import Flag
 from bssrdf.session.records import ChannelFit, Slice, Status
 from bssrdf.transport.light import coefficients
@@ -48,6 +50,10 @@ MOST_LIGHT = 2.0
 MAX_LOST = 0.05
 """Share of the light that fell outside the frame, beyond which its estimate decides R."""
 REJECTING = (Flag.TOTAL_INCONSISTENT, Flag.SHAPE_MISFIT, Flag.G_SUSPECT, Flag.ETA_SUSPECT)
+UNTOLD = ("rejected", "unidentifiable", "failed")
+"""No number of these can be trusted."""
+OF_FEW = (Flag.FEW_RADII, Flag.G_ASSUMED, Flag.SCALE_SD_UNKNOWN, Flag.SD_UNKNOWN)
+"""What is said of a fit with hardly a radius."""
 _COEFFICIENTS = ("sigma_a", "sigma_sp")
 NAMES = {"exit": "exit_law"}
 """Sources by the name that the budget has for them, where it differs."""
@@ -121,16 +127,15 @@ def _shares(fitted: Fitted) -> dict[str, Floats]:
 def channel_fits(fitted: Fitted, extra: Extra) -> list[ChannelFit]:
     """What is reported of every row."""
     answer, shares, used = _answers(fitted, extra), _shares(fitted), _used(fitted)
-    samples = [_in_sample(fitted, extra, answer, shares, row) for row in range(len(fitted.jobs))]
+    off = np.zeros(len(fitted.jobs)) if extra.model_error is None else extra.model_error[:, 0]
+    rel_sd = np.where(answer.sigma_a > 0, answer.sd_a / answer.sigma_a, np.inf)
+    samples = in_samples(fitted, {name: each[:, 0] for name, each in shares.items()}, rel_sd, off)
     flags = _flags(fitted, extra, answer, used, samples)
     for row in np.flatnonzero(np.isfinite(np.concatenate(fitted.rival, axis=1)).all(axis=1)):
         if Flag.FEW_RADII not in flags[row]:
             _join_rival(fitted, answer, flags, int(row))
-    rows = _rows(fitted, extra, answer, shares, used)
-    return [
-        _channel_fit(fitted, job, row, tuple(extra.sensitivity), tuple(shares), sample, tuple(names))
-        for job, row, sample, names in zip(fitted.jobs, rows, samples, flags, strict=True)
-    ]
+    columns = _columns(fitted, extra, answer, shares, used, samples, [tuple(each) for each in flags])
+    return [ChannelFit(**dict(zip(columns, row, strict=True))) for row in zip(*columns.values(), strict=True)]
 
 
 def _answers(fitted: Fitted, extra: Extra) -> _Answer:
@@ -175,100 +180,73 @@ def _used(fitted: Fitted) -> _Used:
     return _Used(count, np.where(np.isfinite(lo)[:, None], np.stack([lo, hi], axis=1), NAN))
 
 
-def _in_sample(fitted: Fitted, extra: Extra, answer: _Answer, shares: Mapping[str, Floats], row: int) -> InSample:
-    rel_sd = float(answer.sd_a[row] / answer.sigma_a[row]) if answer.sigma_a[row] > 0 else np.inf
-    off = 0.0 if extra.model_error is None else float(extra.model_error[row, 0])
-    return in_sample(fitted, row, {name: float(each[row, 0]) for name, each in shares.items()}, rel_sd, off)
-
-
-class _Row(NamedTuple):
-    """What there is to tell of one row, in plain numbers."""
-
-    sigma_a: float
-    sd_a: float
-    interval_a: Sequence[float]
-    sigma_sp: float
-    sd_sp: float
-    interval_sp: Sequence[float]
-    correlation: float
-    total_r: float
-    half_space: float
-    window: Sequence[float]
-    n: int
-    chi2: float
-    known: bool
-    """Whether the curve came with errors."""
-    model_error: Sequence[float]
-    sensitivity: Sequence[float]
-    shares: Sequence[Sequence[float]]
-    """By source those of σa and σs′."""
-
-
-def _rows(fitted: Fitted, extra: Extra, answer: _Answer, shares: Mapping[str, Floats], used: _Used) -> Iterator[_Row]:
-    judged, known = fitted.judged, fitted.judged.errors_known
-    none = np.zeros((len(fitted.jobs), 0))
-    columns = (
-        *answer,
-        judged.seen.totals[0][0][:, 0],
-        judged.seen.half[:, 0],
-        used.window,
-        used.n,
-        np.where(known, judged.chi2, NAN),
-        known,
-        none if extra.model_error is None else extra.model_error,
-        np.stack([none[:, :0].sum(1), *extra.sensitivity.values()], axis=1)[:, 1:],
-        np.stack(list(shares.values()), axis=1),
-    )
-    return map(_Row._make, zip(*(each.tolist() for each in columns), strict=True))
-
-
-def _channel_fit(
+def _columns(
     fitted: Fitted,
-    job: Job,
-    row: _Row,
-    slopes: Sequence[str],
-    sources: Sequence[str],
-    sample: InSample,
-    flags: tuple[str, ...],
-) -> ChannelFit:
-    status = _status(flags)
-    told = status not in ("rejected", "unidentifiable", "failed")  # no number of the others can be trusted
-    told_a = told and Flag.SIGMA_A_UNIDENTIFIABLE not in flags
-    unbounded = not told or sample.flags.get(Flag.SIGMA_A_UNIDENTIFIABLE, False)
-    return ChannelFit(
-        model=fitted.model.name,
-        sigma_a_per_mm=row.sigma_a if told_a else NAN,
-        sigma_a_sd_per_mm=row.sd_a if told_a else NAN,
-        sigma_a_interval95_per_mm=(NAN, NAN) if unbounded else _pair(row.interval_a),
-        sigma_sp_per_mm=row.sigma_sp if told else NAN,
-        sigma_sp_sd_per_mm=row.sd_sp if told else NAN,
-        sigma_sp_interval95_per_mm=_pair(row.interval_sp) if told else (NAN, NAN),
-        correlation=row.correlation if told else NAN,
-        total_r_measured=_mean([p.total_r.get(job.channel, NAN) for p in job.pieces]),
-        total_r_model=row.total_r if told else NAN,
-        total_r_half_space=row.half_space if told else NAN,
-        tau_p=sample.tau_p,
-        sample_effect=(sample.log_total, sample.least_ratio),
-        window_mm=_pair(row.window),
-        n=row.n,
-        chi2_reduced=row.chi2,
-        status=status,
-        flags=flags,
-        model_error=dict(zip(_COEFFICIENTS, row.model_error, strict=False)) if told else {},
-        sensitivity=dict(zip(slopes, row.sensitivity, strict=True)) if told else {},
-        budget=_budget(sources, row.shares) if status == "converged" and told_a else {},
-        not_stated=_not_stated(fitted, job, row.known),
-    )
+    extra: Extra,
+    answer: _Answer,
+    shares: Mapping[str, Floats],
+    used: _Used,
+    samples: Sequence[InSample],
+    flags: Sequence[tuple[str, ...]],
+) -> dict[str, Sequence[Any]]:
+    """A value per row of each field of `ChannelFit`."""
+    jobs, judged, known = fitted.jobs, fitted.judged, fitted.judged.errors_known
+    statuses = [_status(names) for names in flags]
+    told = np.array([status not in UNTOLD for status in statuses])
+    told_a = told & [Flag.SIGMA_A_UNIDENTIFIABLE not in names for names in flags]
+    bounded = told & [not sample.flags.get(Flag.SIGMA_A_UNIDENTIFIABLE) for sample in samples]
+    shared = told_a & [status == "converged" for status in statuses]
+    none = np.zeros((len(jobs), 0))
+
+    def numbers(values: Floats, counts: Bools = told) -> list[float]:
+        return np.where(counts, values, NAN).tolist()  # type: ignore[no-any-return]
+
+    def pairs(values: Floats, counts: Bools = told) -> list[Any]:
+        return list(zip(*(numbers(each, counts) for each in values.T), strict=True))
+
+    return {
+        "model": [fitted.model.name] * len(jobs),
+        "sigma_a_per_mm": numbers(answer.sigma_a, told_a),
+        "sigma_a_sd_per_mm": numbers(answer.sd_a, told_a),
+        "sigma_a_interval95_per_mm": pairs(answer.interval_a, bounded),
+        "sigma_sp_per_mm": numbers(answer.sigma_sp),
+        "sigma_sp_sd_per_mm": numbers(answer.sd_sp),
+        "sigma_sp_interval95_per_mm": pairs(answer.interval_sp),
+        "correlation": numbers(answer.correlation),
+        "total_r_measured": [_mean([p.total_r.get(job.channel, NAN) for p in job.pieces]) for job in jobs],
+        "total_r_model": numbers(judged.seen.totals[0][0][:, 0]),
+        "total_r_half_space": numbers(judged.seen.half[:, 0]),
+        "tau_p": [sample.tau_p for sample in samples],
+        "sample_effect": [(sample.log_total, sample.least_ratio) for sample in samples],
+        "window_mm": pairs(used.window, np.ones_like(told)),
+        "n": used.n.tolist(),
+        "chi2_reduced": numbers(judged.chi2, known),
+        "status": statuses,
+        "flags": flags,
+        "model_error": _named(_COEFFICIENTS, none if extra.model_error is None else extra.model_error, told),
+        "sensitivity": _named(extra.sensitivity, np.stack([none.sum(1), *extra.sensitivity.values()], 1)[:, 1:], told),
+        "budget": _budgets(shares, shared),
+        "not_stated": [_not_stated(fitted, job, stated) for job, stated in zip(jobs, known.tolist(), strict=True)],
+    }
 
 
-def _pair(ends: Sequence[float]) -> tuple[float, float]:
-    lo, hi = ends
-    return lo, hi
+def _named(names: Iterable[str], values: Floats, counts: Bools) -> list[dict[str, float]]:
+    """A row's values (b, k) by name; nothing where it does not count."""
+    names = tuple(names)
+    return [
+        dict(zip(names, row, strict=False)) if counted else {}
+        for row, counted in zip(values.tolist(), counts.tolist(), strict=True)
+    ]
 
 
-def _budget(sources: Sequence[str], shares: Sequence[Sequence[float]]) -> dict[str, dict[str, float]]:
-    by_coefficient = zip(_COEFFICIENTS, zip(*shares, strict=True), strict=True)
-    return {key: {s: share for s, share in zip(sources, of, strict=True) if share > 0} for key, of in by_coefficient}
+def _budgets(shares: Mapping[str, Floats], counts: Bools) -> list[dict[str, dict[str, float]]]:
+    """By coefficient the shares that are not 0."""
+    by_row = np.stack(list(shares.values()), axis=2).tolist()
+    return [
+        {key: {name: share for name, share in zip(shares, of, strict=True) if share > 0}
+         for key, of in zip(_COEFFICIENTS, both, strict=True)} if counted else {}
+        for both, counted in zip(by_row, counts.tolist(), strict=True)
+    ]  # fmt: skip
 
 
 def _join_rival(fitted: Fitted, answer: _Answer, flags: list[list[str]], row: int) -> None:
@@ -283,7 +261,8 @@ def _join_rival(fitted: Fitted, answer: _Answer, flags: list[list[str]], row: in
         flags[row].append(Flag.NOISE)
 
 
-def _status(flags: Sequence[str]) -> Status:
+@lru_cache(maxsize=4096)
+def _status(flags: tuple[str, ...]) -> Status:
     if {Flag.FEW_RADII, Flag.NOISE} & set(flags):
         return "unidentifiable"
     if Flag.NOT_CONVERGED in flags:
@@ -296,19 +275,16 @@ def _status(flags: Sequence[str]) -> Status:
 def _flags(fitted: Fitted, extra: Extra, answer: _Answer, used: _Used, samples: Sequence[InSample]) -> list[list[str]]:
     """By row the names from `Flag` that hold for this fit, and those of its slices."""
     held = _held(fitted, extra, answer, used)
-    names = sorted({*held, *(name for sample in samples for name in sample.flags)})
-    none = np.zeros(len(samples), bool)
-    holds = np.array([held.get(name, none) | none for name in names]).T
-    if any(sample.flags for sample in samples):
-        holds |= np.array([[sample.flags.get(name, False) for name in names] for sample in samples])
-    few = [names.index(name) for name in (Flag.FEW_RADII, Flag.G_ASSUMED, Flag.SCALE_SD_UNKNOWN, Flag.SD_UNKNOWN)]
-    raised = []
-    for job, row, other in zip(fitted.jobs, holds, extra.other_models, strict=True):
-        if row[few[0]]:
-            raised.append([names[at] for at in few if row[at]])
-            continue
-        measured = [flag for piece in job.pieces for flag in piece.flags]
-        raised.append(list(dict.fromkeys([*(names[at] for at in np.flatnonzero(row)), *other, *measured])))
+    for name in {name for sample in samples for name in sample.flags}:
+        held[name] = held.get(name, False) | np.array([sample.flags.get(name, False) for sample in samples])
+    few = held[Flag.FEW_RADII]
+    raised: list[list[str]] = [[] for _ in samples]
+    for name in sorted(held):
+        for at in np.flatnonzero(held[name] & (~few | (name in OF_FEW))).tolist():
+            raised[at].append(name)
+    for at in np.flatnonzero(~few).tolist():
+        measured = [flag for piece in fitted.jobs[at].pieces for flag in piece.flags]
+        raised[at] = list(dict.fromkeys([*raised[at], *extra.other_models[at], *measured]))
     return raised
 
 
@@ -371,23 +347,22 @@ def _within_reason(fitted: Fitted, totals: Floats) -> Bools:
 
 def _not_stated(fitted: Fitted, job: Job, known: bool) -> tuple[str, ...]:
     """Errors that count as 0 because no slice states them."""
-    missing = {name for piece in job.pieces for name in _silent(fitted, piece, job.channel)}
-    if not known:
-        missing.add("noise")
-    return tuple(name for name in STATED if name in missing)
+    silent = [_silent(fitted, piece, job.channel) for piece in job.pieces]
+    absent = (not known, *(any(each) for each in zip(*silent, strict=True)))
+    return tuple(compress(STATED, absent))
 
 
-def _silent(fitted: Fitted, piece: Slice, channel: str) -> list[str]:
-    missing = {
-        "total": channel in piece.total_r and not piece.total_r_sd.get(channel),
-        "scale": piece.scale_rel_sd is None,
-        "length": piece.mm_rel_sd is None,
-        "spot": piece.spot_radius_mm is not None and piece.spot_radius_sd_mm is None,
-        "view": piece.exit == "fresnel" and piece.view_angle_sd_deg is None,
-        "g": piece.g_sd is None or (piece.g_sd > 0 and "g" not in fitted.beside),
-        "eta": piece.eta_sd is None or (piece.eta_sd > 0 and "eta" not in fitted.beside),
-    }
-    return [name for name, absent in missing.items() if absent]
+def _silent(fitted: Fitted, piece: Slice, channel: str) -> tuple[bool, ...]:
+    """Of STATED beside noise."""
+    return (
+        channel in piece.total_r and not piece.total_r_sd.get(channel),
+        piece.scale_rel_sd is None,
+        piece.mm_rel_sd is None,
+        piece.spot_radius_mm is not None and piece.spot_radius_sd_mm is None,
+        piece.exit == "fresnel" and piece.view_angle_sd_deg is None,
+        piece.g_sd is None or (piece.g_sd > 0 and "g" not in fitted.beside),
+        piece.eta_sd is None or (piece.eta_sd > 0 and "eta" not in fitted.beside),
+    )
 
 
 def _mean(values: Sequence[float]) -> float:
