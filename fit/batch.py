@@ -13,7 +13,7 @@ from bssrdf.fit.errors import SCATTERED, Judged, judge
 from bssrdf.fit.jobs import Job, Options, problem_of
 from bssrdf.fit.models import beside_of
 from bssrdf.fit.problem import Neighbours, Plan, Point, Problem
-from bssrdf.fit.solve import NEAR, REST, Solution, optimise, settle, start, starts_of
+from bssrdf.fit.solve import MAX_STEPS, NEAR, REST, Solution, optimise, settle, start, starts_of
 from bssrdf.transport.arrays import NUMPY, picked, replaced
 from bssrdf.transport.light import Light
 
@@ -88,33 +88,71 @@ def _best(
 ) -> tuple[Solution, Point]:
     """The lowest of the optima reached from several starts, and one as good at another place."""
     every, more = starts_of(plan)
-    b = data.curves[0].r_lo.shape[0]
-    rival = np.full((b, 3), np.nan)
-    rows = np.arange(b)
+    rows = np.arange(data.curves[0].r_lo.shape[0])
+    others: list[_Begun] = []
     if compiled_for and len(every) == 1:
-        found, others = settled(plan, model, data, aside, compiled_for), []
+        found = settled(plan, model, data, aside, compiled_for)
+        tried = [_logs(found.point)]
     else:
-        begun = [start(NUMPY, plan, model, data, number) for number in every]
-        misfits = np.stack([np.where(np.isfinite(misfit), misfit, np.inf) for _, misfit in begun])
-        points = np.stack([np.concatenate(point, axis=1) for point, _ in begun])
+        points, misfits = _begun(plan, model, data, rows, every)
         order = np.argsort(misfits, axis=0, kind="stable")
-        found = _at_rest(plan, model, data, _point(points[order[0], rows]), aside)
-        vague = _is_far(data, found) if not plan.totals else np.zeros(b, bool)
-        likely = [vague | (misfits[place, rows] < NEAR_BEST * misfits[order[0], rows] + 10) for place in order[1:]]
-        others = [(np.flatnonzero(near), points[place, rows]) for near, place in zip(likely, order[1:], strict=True)]
+        first = _point(points[order[0], rows])
+        found = _at_rest(plan, model, data, first, aside)
+        tried = [_logs(first), _logs(found.point)]
+        vague = _is_far(data, found) if not plan.totals else np.zeros(rows.size, bool)
+        for place in order[1:]:
+            likely = vague | (misfits[place, rows] < NEAR_BEST * misfits[order[0], rows] + 10)
+            others.append(_Begun(rows[likely], points[place, rows][likely]))
     doubtful = np.flatnonzero(
         ~found.converged | (found.cost > DOUBTFUL * _count(found)) | (found.point.q[:, 0] > DARK_Q)
     )
-    for number in more if doubtful.size else ():
-        point = np.full((b, 3), np.nan)
-        point[doubtful] = np.concatenate(start(NUMPY, plan, model, picked(data, doubtful), number)[0], axis=1)
-        others.append((doubtful, point))
-    for chosen, point in others:
-        ours = np.concatenate(found.point, axis=1)[chosen]
-        again = chosen[(np.abs(_logs(point[chosen]) - _logs(ours)) > DISTINCT).any(axis=1)]
-        if again.size:
-            ended = _at_rest(plan, model, picked(data, again), _point(point[again]), aside)
-            found, rival = _compared(model, data, found, ended, again, rival)
+    if more and doubtful.size:
+        others += [_Begun(doubtful, points) for points in _begun(plan, model, data, doubtful, more)[0]]
+    return _followed(plan, model, data, aside, found, tried, others)
+
+
+class _Begun(NamedTuple):
+    """Rough optima (n, 3) of some rows (n,)."""
+
+    rows: NDArray[np.int_]
+    points: NDArray[np.float64]
+
+
+def _begun(
+    plan: Plan, model: Light, data: Problem, rows: NDArray[np.int_], numbers: Sequence[int]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Rough optima (k, n, 3) of some rows from starts of these numbers, and their misfits (k, n)."""
+    several = picked(data, np.tile(rows, len(numbers)))
+    point, misfit = start(NUMPY, plan, model, several, np.repeat(numbers, rows.size))
+    misfit = np.where(np.isfinite(misfit), misfit, np.inf)
+    return np.concatenate(point, axis=1).reshape(len(numbers), -1, 3), misfit.reshape(len(numbers), -1)
+
+
+def _followed(
+    plan: Plan,
+    model: Light,
+    data: Problem,
+    aside: Neighbours,
+    found: Solution,
+    tried: list[NDArray[np.float64]],
+    others: Sequence[_Begun],
+) -> tuple[Solution, Point]:
+    """What is found from other starts too, all at once; those next to one that was `tried` would end where it did."""
+    rival = np.full((found.cost.size, 3), np.nan)
+    new: list[_Begun] = []
+    for rows, points in others:
+        logs = _logs(_point(points))
+        known = np.any([(np.abs(logs - each[rows]) < DISTINCT).all(axis=1) for each in tried], axis=0)
+        new.append(_Begun(rows[~known], points[~known]))
+        tried.append(np.full_like(tried[0], np.nan))
+        tried[-1][rows] = logs
+    rows = np.concatenate([np.zeros(0, int), *(each.rows for each in new)])
+    if rows.size:
+        begin = _point(np.concatenate([each.points for each in new]))
+        ended = _at_rest(plan, model, picked(data, rows), begin, aside)
+        for each, end in zip(new, np.cumsum([each.rows.size for each in new]), strict=True):
+            part = picked(ended, slice(end - each.rows.size, end))
+            found, rival = _compared(model, data, found, part, each.rows, rival)
     return found, _point(rival)
 
 
@@ -126,13 +164,14 @@ def _is_far(data: Problem, found: Solution) -> NDArray[np.bool_]:
 
 
 def _at_rest(plan: Plan, model: Light, data: Problem, begin: Point, aside: Neighbours) -> Solution:
-    """`settle`, and again for those on a long way: far out, where light falls by decades, each turn goes part of it."""
+    """`settle`, and again with more patience for those on a long way: far out, where light falls by decades, each turn
+    goes part of it."""
     found = settle(NUMPY, plan, model, data, begin, aside)
     for _ in range(FURTHER):
         far = np.flatnonzero(~found.converged & np.isfinite(found.cost))
         if not far.size:
             break
-        rest = settle(NUMPY, plan, model, picked(data, far), picked(found.point, far), aside)
+        rest = settle(NUMPY, plan, model, picked(data, far), picked(found.point, far), aside, most=MAX_STEPS)
         found = replaced(found, far, rest)
     return found
 
@@ -168,7 +207,7 @@ def _compared(
     ours, theirs = picked(found, again), ended
     old, new = _score(model, picked(data, again), ours), _score(model, picked(data, again), theirs)
     a, b = (np.concatenate(each.point, axis=1) for each in (ours, theirs))
-    apart = (np.abs(_logs(a) - _logs(b)) > DISTINCT).any(axis=1)
+    apart = (np.abs(_logs(ours.point) - _logs(theirs.point)) > DISTINCT).any(axis=1)
     better = theirs.converged & (new < old - 1e-9)
     scatter = np.maximum(np.minimum(ours.cost, theirs.cost) / np.maximum(_count(ours), 1), 1.0)
     as_good = apart & ours.converged & theirs.converged & (np.abs(ours.cost - theirs.cost) < RIVAL * scatter)
@@ -190,8 +229,9 @@ def _count(found: Solution) -> NDArray[np.float64]:
     return counted
 
 
-def _logs(points: NDArray[np.float64]) -> NDArray[np.float64]:
-    return np.stack([points[:, 0], np.log(np.maximum(np.abs(points[:, 1]), 1e-3))], axis=1)
+def _logs(point: Point) -> NDArray[np.float64]:
+    """(b, 2): ln σt′ and ln q."""
+    return np.concatenate([point.log_sigma, np.log(np.maximum(np.abs(point.q), 1e-3))], axis=1)
 
 
 def _point(values: NDArray[np.float64]) -> Point:

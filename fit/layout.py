@@ -55,9 +55,9 @@ class Sight(NamedTuple):
 
 
 def points_of(sight: Sight, radii: int) -> int:
-    """At how many a model is looked at together, for the curve or for its blur."""
+    """At how many a model is looked at together, for the curve or for its blur, which is laid a few times only."""
     blur = 48 * sight.blur_inner + 12 * (radii - sight.blur_inner) if sight.blurred else 0
-    return max(blur, 12 * sight.inner + 3 * (radii - sight.inner) if sight.binned else radii)
+    return max(blur // 4, 12 * sight.inner + 3 * (radii - sight.inner) if sight.binned else radii)
 
 
 class Curves(NamedTuple):

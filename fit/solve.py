@@ -23,7 +23,9 @@ from bssrdf.transport.q_root import q_of_total
 
 MAX_STEPS = 40
 START_STEPS = 15
-LAYS = 8
+LAID_STEPS = 8
+"""From one laying to the next: far from rest laying anew gains more than further steps do."""
+LAYS = 12
 """Times that exit law, spot and responses are worked out anew; two or three suffice but for dark media."""
 REST = 1e-8
 """In the parameters, of order 1: below this neither point nor weights move."""
@@ -50,7 +52,7 @@ LONGEST_STEP = 1.0
 Q_GRID = np.geomspace(0.03, 1.6, 16)
 VALLEYS = 4
 """Ranges of albedo in which a curve is looked for, each for itself: shape alone has a second minimum at another."""
-ABOUT = (1.0, 0.6, 1.5)
+ABOUT = np.array([1.0, 0.6, 1.5])
 """Factors on the q of R from which a fit with R starts: very dark media have two fixed points."""
 LOG_EXTENT = np.linspace(np.log(0.3), np.log(1000.0), 24)
 """ln of (largest radius in mean free paths), tried for each curve."""
@@ -104,16 +106,17 @@ class _State(NamedTuple):
     done: Any
 
 
-def start(e: Engine, plan: Plan, model: Light, data: Problem, number: int) -> tuple[Point, Any]:
-    """The rough optimum from one of several places, and its misfit (b,): inf where it lost its radii."""
+def start(e: Engine, plan: Plan, model: Light, data: Problem, numbers: Any) -> tuple[Point, Any]:
+    """The rough optimum from one of several places, by one number (b,) each or the same, and its misfit (b,): inf
+    where it lost its radii."""
     few, plain = _few_of(e, plan, data)
     if plan.totals:
         q = q_of_total(e, model, e.xp.minimum(data.totals[0].r, 1.0))  # of a sample for each scale, in `_scanned`
-        qs = [e.xp.clip(q * ABOUT[number], 1e-6, model.q_max)]
+        qs = [e.xp.clip(q * ABOUT[numbers].reshape(-1, 1), 1e-6, model.q_max)]
     else:
         zero = 0 * data.curves[0].spot_radius
-        qs = [zero + q for q in Q_GRID.reshape(VALLEYS, -1)[number]]
-    begun = _scanned(e, plan, model, few, qs, number)
+        qs = [zero + q.reshape(-1, 1) for q in Q_GRID.reshape(VALLEYS, -1).T[:, numbers]]
+    begun = _scanned(e, plan, model, few, qs, numbers)
     laid = lay_plainly(e, plain, model, few, begun)
     ended = optimise(e, plain, model, few, laid, begun, ROUGH, relay=True, most=START_STEPS)
     finite = e.xp.isfinite(sum(ended.point))
@@ -129,9 +132,18 @@ def starts_of(plan: Plan) -> tuple[tuple[int, ...], tuple[int, ...]]:
 
 
 def settle(
-    e: Engine, plan: Plan, model: Light, data: Problem, begin: Point, beside: Neighbours, *, rest: float = REST
+    e: Engine,
+    plan: Plan,
+    model: Light,
+    data: Problem,
+    begin: Point,
+    beside: Neighbours,
+    *,
+    rest: float = REST,
+    most: int = LAID_STEPS,
 ) -> Solution:
-    """The optimum near `begin`, at rest; a larger `rest` is enough where its cost alone is wanted."""
+    """The optimum near `begin`, at rest; a larger `rest` is enough where its cost alone is wanted. `most` steps are
+    taken from one laying to the next."""
     xp = e.xp
     laid = lay(e, plan, model, data, begin, beside)
     begin = meeting(e, plan, model, data, laid, begin)
@@ -141,11 +153,11 @@ def settle(
     def again(state: tuple[Solution, Any, Any, Any], data: Problem) -> tuple[Solution, Any, Any, Any]:
         last, number, *_ = state
         laid = lay(e, plan, model, data, last.point, beside, last.laid.nodes)
-        found = optimise(e, plan, model, data, laid, last.point, rest, relay=True, shared=last.shared)
+        found = optimise(e, plan, model, data, laid, last.point, rest, relay=True, shared=last.shared, most=most)
         quiet = xp.abs(found.cost - last.cost) < GAINED
         return found, number + 1, _distance(xp, found.point, last.point) > max(LAID, 10 * rest), quiet
 
-    first = optimise(e, plan, model, data, laid, begin, ROUGH, relay=True)
+    first = optimise(e, plan, model, data, laid, begin, ROUGH, relay=True, most=most)
     begun = (first, xp.zeros(first.cost.shape[0], dtype=xp.int32), first.cost < np.inf, first.cost < 0)
     found, _, moving, quiet = e.loop(lambda s: s[2] & (s[1] < LAYS), again, begun, data)
     return found._replace(converged=(found.converged & ~moving) | quiet)
@@ -324,7 +336,7 @@ def _few_of(e: Engine, plan: Plan, data: Problem) -> tuple[Problem, Plan]:
     return data._replace(curves=curves, totals=totals), plan._replace(sights=plain, shared=(), robust=False)
 
 
-def _scanned(e: Engine, plan: Plan, model: Light, few: Problem, qs: list[Any], number: int) -> Point:
+def _scanned(e: Engine, plan: Plan, model: Light, few: Problem, qs: list[Any], numbers: Any) -> Point:
     """The scale of a grid whose curve of one of these q is nearest, in the logarithm."""
     xp = e.xp
     r = xp.concatenate([c.few_r[:, ::SCANNED] for c in few.curves], axis=1)
@@ -338,7 +350,7 @@ def _scanned(e: Engine, plan: Plan, model: Light, few: Problem, qs: list[Any], n
     x = xp.maximum((xp.exp(log_sigma)[:, :, None] * r[:, None, :]).reshape(b, -1), 1e-3)
     costs, offsets, every_q = [], [], []
     for q in qs:
-        at = _q_in_sample(e, plan, model, few, log_sigma, q, number)
+        at = _q_in_sample(e, plan, model, few, log_sigma, q, numbers)
         by_x = (xp.zeros((b, 1, n)) + at[:, :, None]).reshape(b, -1) if held_any(plan) else q
         shape = xp.log(xp.maximum(model.look(e, by_x, x)[0], 1e-300)).reshape(b, -1, n)
         shape = shape + _of_samples(e, plan, model, few, log_sigma, at)
@@ -356,7 +368,7 @@ def _scanned(e: Engine, plan: Plan, model: Light, few: Problem, qs: list[Any], n
     return Point(found, q, c if plan.scale_free else 0 * c)
 
 
-def _q_in_sample(e: Engine, plan: Plan, model: Light, few: Problem, log_sigma: Any, q: Any, number: int) -> Any:
+def _q_in_sample(e: Engine, plan: Plan, model: Light, few: Problem, log_sigma: Any, q: Any, numbers: Any) -> Any:
     """(b, s): q at each scale; in a sample whose R is known that hangs on the scale."""
     xp = e.xp
     if not plan.totals or plan.sights[plan.totals[0]].held == "half":
@@ -365,7 +377,7 @@ def _q_in_sample(e: Engine, plan: Plan, model: Light, few: Problem, log_sigma: A
     sample = Sample(*((each + 0 * log_sigma).reshape(-1, 1) for each in few.samples[plan.totals[0]]))
     total_r = (few.totals[0].r + 0 * log_sigma).reshape(-1, 1)
     found = q_of_sample(e, model, False, sample, log_sigma.reshape(-1, 1), total_r)  # the wall is left for later
-    return xp.clip(found.reshape(b, s) * ABOUT[number], 1e-3, model.q_max)
+    return xp.clip(found.reshape(b, s) * ABOUT[numbers].reshape(-1, 1), 1e-3, model.q_max)
 
 
 def _of_samples(e: Engine, plan: Plan, model: Light, few: Problem, log_sigma: Any, q: Any) -> Any:

@@ -199,7 +199,7 @@ def _columns(
     none = np.zeros((len(jobs), 0))
 
     def numbers(values: Floats, counts: Bools = told) -> list[float]:
-        return np.where(counts, values, NAN).tolist()  # type: ignore[no-any-return]
+        return np.where(counts, values, NAN).tolist()
 
     def pairs(values: Floats, counts: Bools = told) -> list[Any]:
         return list(zip(*(numbers(each, counts) for each in values.T), strict=True))
