@@ -93,33 +93,59 @@ def exchanged(frames: list[Shown], rng: np.random.Generator) -> list[Shown]:
 FAULTS: dict[str, Fault] = {f.__name__: f for f in (good, lamp, flicker, black, darks, stale, exchanged)}
 
 
+@dataclass(frozen=True)
+class Setup:
+    """What is filmed, and how."""
+
+    material: str = "marble"
+    view_angle_deg: float = 45.0
+    incidence_deg: float = 0.0
+    spot_aspect: float = 1.0
+    spread_aspect: float = 1.0
+    """Of the sample: fibres."""
+
+
+PLAIN = Setup()
+
+
 @lru_cache(maxsize=2)
-def scene(material: str = "marble") -> BenchScene:
+def scene(setup: Setup = PLAIN) -> BenchScene:
     """A small camera of one colour on a published material."""
-    sample, tile = (replace(each, media={"G": each.media["G"]}) for each in (published_sample(material), white_tile()))
-    return BenchScene(sample, tile, SimSensor(200, 300, "mono"), mm_per_px=0.15, channel_power=(1.0,))  # type: ignore[arg-type]  # one channel
+    sample, tile = (
+        replace(each, media={"G": each.media["G"]}) for each in (published_sample(setup.material), white_tile())
+    )
+    return BenchScene(
+        replace(sample, spread_aspect=setup.spread_aspect),
+        tile,
+        SimSensor(200, 300, "mono"),
+        mm_per_px=0.15,
+        view_angle_deg=setup.view_angle_deg,
+        incidence_deg=setup.incidence_deg,
+        spot_aspect=setup.spot_aspect,
+        channel_power=(1.0,),  # type: ignore[arg-type]  # one channel
+    )
 
 
 @lru_cache(maxsize=2)
-def currents(material: str = "marble") -> dict[str, Array]:
+def currents(setup: Setup = PLAIN) -> dict[str, Array]:
     """Mean photo-current [e⁻/s] by what lies under the beam."""
-    return scene(material).photo_currents()
+    return scene(setup).photo_currents()
 
 
-def session_of(path: Path, camera: Camera, material: str = "marble") -> Session:
+def session_of(path: Path, camera: Camera, setup: Setup = PLAIN) -> Session:
     """The session that the frames in `path` belong to, as a user would describe it."""
-    bench = scene(material)
+    bench = scene(setup)
     return Session(
         path,
         camera,
-        Material(material, bench.sample.media["G"].eta, bench.sample.media["G"].g),
+        Material(setup.material, bench.sample.media["G"].eta, bench.sample.media["G"].g),
         Geometry(bench.mm_per_px, mm_per_px_rel_sd=0.001, view_angle_deg=bench.view_angle_deg, view_angle_sd_deg=0.1),
-        Beam(spot_radius_mm=bench.spot_radius_mm, channels=("G",)),
+        Beam(spot_radius_mm=bench.spot_radius_mm, channels=("G",), incidence_deg=bench.incidence_deg),
         Reference("tile", bench.radiance_factors(bench.tile), (1e-6,), coplanar=True),
     )
 
 
-def write_session(path: Path, fault: Fault, seed: int, material: str = "marble", repeats: int = 1) -> Session:
+def write_session(path: Path, fault: Fault, seed: int, setup: Setup = PLAIN, repeats: int = 1) -> Session:
     """Frames of a bracket of sample and tile with their darks, and a fault."""
     rng = np.random.default_rng(seed)
     (path / "frames").mkdir(parents=True)
@@ -127,15 +153,15 @@ def write_session(path: Path, fault: Fault, seed: int, material: str = "marble",
     for repeat in range(repeats):
         planned = [Shown(kind, n, t) for kind in (*_KINDS, *_DARKS) for n, t in enumerate(EXPOSURES_S)]
         for shown in fault(planned, rng):
-            sensor = scene(material).sensor
+            sensor = scene(setup).sensor
             sensor = replace(sensor, dark_e_per_s=sensor.dark_e_per_s * shown.dark)
-            light = shown.light * currents(material).get(shown.kind, np.zeros(sensor.shape))
+            light = shown.light * currents(setup).get(shown.kind, np.zeros(sensor.shape))
             raw = _moved(expose(sensor, light, shown.exposure_s, rng), shown.black_dn, sensor, rng)
             file = f"frames/{shown.kind}_{shown.number}_{repeat}.tif"
             tifffile.imwrite(path / file, raw)
             listed.append(Frame(file, shown.kind, EXPOSURES_S[shown.number]))  # type: ignore[arg-type]  # a FrameKind
     write_frames(path, listed)
-    return session_of(path, Camera(sensor.layout, float(sensor.black_dn), float(sensor.white_dn)), material)
+    return session_of(path, Camera(sensor.layout, float(sensor.black_dn), float(sensor.white_dn)), setup)
 
 
 def _moved(raw: NDArray[np.uint16], by_dn: float, sensor: SimSensor, rng: np.random.Generator) -> NDArray[np.uint16]:

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from bssrdf.bench.frame_faults import FAULTS, currents, scene, session_of, write_session
+from bssrdf.bench.frame_faults import FAULTS, PLAIN, Setup, currents, scene, session_of, write_session
 from bssrdf.calib import Exposures, Surface
 from bssrdf.errors import InputError
 from bssrdf.fit import fit_slice
@@ -54,16 +54,16 @@ def run_frames_bench(
     *,
     seeds: int = 20,
     faults: Sequence[str] = tuple(FAULTS),
-    material: str = "marble",
+    setup: Setup = PLAIN,
     out: Path | None = None,
     progress: Progress | None = None,
 ) -> list[Trial]:
     """Measure sessions of every fault, `seeds` each; with `out` also write frames.json there."""
-    truth = true_slice(material)
+    truth = true_slice(setup)
     trials = []
     for number, fault in enumerate(faults):
         for seed in range(seeds):
-            trials.append(trial(fault, seed, truth, material))
+            trials.append(trial(fault, seed, truth, setup))
             if progress:
                 progress(fault, number * seeds + seed + 1, len(faults) * seeds)
     if out is not None:
@@ -72,14 +72,14 @@ def run_frames_bench(
     return trials
 
 
-def true_slice(material: str) -> Slice:
+def true_slice(setup: Setup) -> Slice:
     """What a camera without noise measures, with the totals that the light was made with."""
-    bench = scene(material)
-    session = session_of(Path(), Camera(bench.sensor.layout), material)
+    bench = scene(setup)
+    session = session_of(Path(), Camera(bench.sensor.layout), setup)
     assert session.geometry
     images = [
         Image(kind, _noiseless(light), bench.sensor.layout, ("G",), Surface(session.geometry, None))
-        for kind, light in currents(material).items()
+        for kind, light in currents(setup).items()
     ]
     found = measure_slice(session, images[0], images[1], {}, Exposures(), SliceOptions())
     return replace(found, total_r=dict(zip("G", bench.radiance_factors(bench.sample), strict=True)))
@@ -91,10 +91,10 @@ def _noiseless(light: Array) -> Hdr:
     return Hdr(radiance, np.square(_TRUTH_REL_SD * radiance), none.astype(np.uint16), none)
 
 
-def trial(fault: str, seed: int, truth: Slice, material: str, repeats: int = 1) -> Trial:
+def trial(fault: str, seed: int, truth: Slice, setup: Setup, repeats: int = 1) -> Trial:
     """One session with a fault, measured."""
     with tempfile.TemporaryDirectory() as folder:
-        session = write_session(Path(folder) / "session", FAULTS[fault], seed, material, repeats)
+        session = write_session(Path(folder) / "session", FAULTS[fault], seed, setup, repeats)
         try:
             found = measure_session(session).slice
         except InputError as error:
@@ -104,13 +104,13 @@ def trial(fault: str, seed: int, truth: Slice, material: str, repeats: int = 1) 
     sd = [found.total_r_sd[c] / truth.total_r[c] for c in found.total_r]
     z = np.divide(rel, sd)
     decades = tuple(decade_z(found.channels[c], truth.channels[c], found.scale_rel_sd or 0.0) for c in found.channels)
-    held_ = coefficients_held(found, material)
+    held_ = coefficients_held(found, setup)
     return Trial(fault, seed, None, found.flags, tuple(z.tolist()), tuple(rel), tuple(sd), decades, held_)
 
 
-def coefficients_held(found: Slice, material: str) -> dict[str, bool]:
+def coefficients_held(found: Slice, setup: Setup) -> dict[str, bool]:
     """By coefficient, whether its 95 % interval holds the truth; empty where the fit gives none."""
-    fitted, medium = fit_slice(found)["G"], scene(material).sample.media["G"]
+    fitted, medium = fit_slice(found)["G"], scene(setup).sample.media["G"]
     if fitted.status not in ("converged", "upper_bound"):
         return {}
     intervals = {

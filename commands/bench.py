@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import click
 
@@ -106,12 +106,16 @@ def trials(
 @click.option("--sessions", type=click.IntRange(1), default=20, show_default=True, help="Of each fault.")
 @click.option("--fault", "faults", multiple=True, help="Only this one; may be given again.")
 @click.option("--material", default="marble", show_default=True, help="What lies under the beam.")
-def frames(out: Path | None, force: bool, sessions: int, faults: tuple[str, ...], material: str) -> None:
+@click.option("--view-angle", "view_angle_deg", default=45.0, show_default=True, help="Of the camera [deg].")
+@click.option("--incidence", "incidence_deg", default=0.0, show_default=True, help="Of the beam [deg].")
+@click.option("--spot-aspect", default=1.0, show_default=True, help="Length of the spot over its width.")
+@click.option("--spread-aspect", default=1.0, show_default=True, help="The same of the light in a fibrous sample.")
+def frames(out: Path | None, force: bool, sessions: int, faults: tuple[str, ...], **setup: Any) -> None:
     """Sessions with faults: are they refused, or do intervals hold?
 
     Faults of lamp, black, darks and labels.
     """
-    from bssrdf.bench.frame_faults import FAULTS
+    from bssrdf.bench.frame_faults import FAULTS, Setup
     from bssrdf.bench.frames import run_frames_bench, table
     from bssrdf.report import steps
 
@@ -122,7 +126,7 @@ def frames(out: Path | None, force: bool, sessions: int, faults: tuple[str, ...]
         found = run_frames_bench(
             seeds=sessions,
             faults=faults or tuple(FAULTS),
-            material=material,
+            setup=Setup(**setup),
             out=out and fresh(out, force),
             progress=progress,
         )

@@ -9,7 +9,7 @@ import pytest
 import tifffile
 from builders import film
 
-from bssrdf.bench.frame_faults import EXPOSURES_S, FAULTS, good, scene, session_of, write_session
+from bssrdf.bench.frame_faults import EXPOSURES_S, FAULTS, PLAIN, Setup, good, scene, session_of, write_session
 from bssrdf.bench.frames import run_frames_bench, trial, true_slice
 from bssrdf.cli import cli
 from bssrdf.commands.console import run
@@ -18,29 +18,40 @@ from bssrdf.measure.session import measure_session
 from bssrdf.session.frames_csv import read_frames, write_frames
 from bssrdf.session.records import Camera
 
-MATERIAL = "marble"
+SETUP = PLAIN
 LEAST_HELD = 3.0
 """Standard errors: two seeds of each fault are no statistics, `bssrdf bench frames` makes them."""
 
 
 @pytest.fixture(scope="module")
 def truth():
-    return true_slice(MATERIAL)
+    return true_slice(SETUP)
 
 
 @pytest.mark.parametrize("fault", ["good", "lamp", "flicker", "black", "darks"])
 def test_what_can_be_measured_is_within_its_error(fault, truth):
     for seed in (4, 5):
-        found = trial(fault, seed, truth, MATERIAL)
+        found = trial(fault, seed, truth, SETUP)
         assert found.refused is None
         assert np.abs(found.total_z).max() < LEAST_HELD
         assert np.abs(np.concatenate(found.decade_z)).max() < LEAST_HELD + 0.5
 
 
+@pytest.mark.parametrize(
+    "setup",
+    [Setup(spot_aspect=1.4), Setup(spread_aspect=1.3), Setup("ketchup", incidence_deg=30.0)],
+    ids=["elliptical spot", "fibres", "oblique beam"],
+)
+def test_a_good_session_of_another_make_is_measured_within_its_error(setup, tmp_path):
+    found = measure_session(write_session(tmp_path / "s", good, 7, setup)).slice
+    off = found.total_r["G"] - true_slice(setup).total_r["G"]
+    assert abs(off) < LEAST_HELD * found.total_r_sd["G"]
+
+
 @pytest.mark.parametrize("fault", ["stale", "exchanged"])
 def test_a_frame_of_another_exposure_is_refused_by_name(fault, truth):
     for seed in (0, 1):
-        refused = trial(fault, seed, truth, MATERIAL).refused
+        refused = trial(fault, seed, truth, SETUP).refused
         assert refused
         assert refused.startswith(("frames/sample_", "frames/reference_"))
         assert "\n" not in refused
@@ -56,10 +67,10 @@ def test_a_bracket_that_lags_by_one_frame_is_refused_though_few_pixels_are_brigh
 
 def test_the_light_of_a_tile_in_a_small_frame_hides_no_black_offset(tmp_path):
     """White, it departs from the form of diffusion by some tenths of a percent, and its R does not tell its decay."""
-    close_up = replace(scene("skin1"), mm_per_px=0.06, spot_radius_mm=0.2)
+    close_up = replace(scene(Setup("skin1")), mm_per_px=0.06, spot_radius_mm=0.2)
     light = close_up.photo_currents()
     (truth,) = close_up.radiance_factors(close_up.sample)
-    session = session_of(tmp_path, Camera("mono", 512.0, 16383.0), "skin1")
+    session = session_of(tmp_path, Camera("mono", 512.0, 16383.0), Setup("skin1"))
     session = replace(
         session,
         geometry=replace(session.geometry, mm_per_px=0.06),

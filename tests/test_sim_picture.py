@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -50,6 +52,21 @@ def test_the_spot_of_a_surface_without_scattering_is_the_beam() -> None:
     image = picture(point, view)
     assert image.max() == pytest.approx(2 / (np.pi * 0.4**2), rel=1e-2)
     assert image[50, 70] / image[50, 50] == pytest.approx(np.exp(-2), rel=1e-2)
+
+
+def test_a_long_spot_and_fibres_only_move_light_along_their_axes() -> None:
+    view = PictureGeometry((400, 600), 0.1, 45.0, spot_radius_mm=0.5)
+    for shape in ({"spot_aspect": 1.5}, {"spread_aspect": 1.5}):
+        other = replace(view, **shape)
+        assert surface_sum(picture(exponential(0.8, 1.0), other), other) == pytest.approx(0.8, rel=2e-3)
+    point = SeenLight(np.array([0.0, 1e-4, 2e-4]), np.array([1.0, 1e-9, 1e-12]))
+    long = PictureGeometry((201, 201), 0.02, 0.0, spot_radius_mm=0.4, spot_aspect=1.5)
+    image, (x_mm, y_mm) = picture(point, long), long.surface_mm(*np.mgrid[:201, :201][::-1].astype(float))
+    widths = [np.sqrt(np.average(at**2, weights=image)) for at in (x_mm, y_mm)]
+    np.testing.assert_allclose(widths, [0.2, 0.3], rtol=0.01)
+    fibres = replace(view, shape=(401, 401), view_angle_deg=0.0, spread_aspect=4.0)
+    image = picture(exponential(0.8, 1.0), fibres)
+    assert image[200, 240] == pytest.approx(image[210, 200], rel=0.01)
 
 
 def test_glare_moves_light_within_the_frame() -> None:

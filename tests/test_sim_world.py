@@ -137,6 +137,16 @@ def test_the_light_towards_the_camera_adds_up_to_the_exact_total() -> None:
     assert beyond[0] + line_beyond[0] == pytest.approx(entering * exact, rel=3e-3)
 
 
+def test_lamp_and_camera_may_change_places() -> None:
+    """Helmholtz: a beam at 60° seen from the other side at 20° looks as bright as one at 20° seen at 60°."""
+    medium = SampleMedium(0.3, 0.7, 1.4, 0.6)
+    light = [walked(medium, view, 400_000, 5, incidence_deg=beam) for view, beam in ((20.0, 60.0), (60.0, 20.0))]
+    there, back = (beyond[0] + line[0] for beyond, line, *_ in light)
+    assert there == pytest.approx(back, rel=0.01)
+    straight, line, *_ = walked(medium, 20.0, 400_000, 5)
+    assert abs(there / (straight[0] + line[0]) - 1) > 0.05
+
+
 def test_light_scattered_once_is_the_closed_form() -> None:
     medium, r = SampleMedium(0.3, 0.7, 1.4), r_edges_mfp()
     _, line_beyond, *_ = walked(medium, 45.0, photons=400_000, seed=4)
@@ -154,7 +164,7 @@ def test_a_slab_sends_the_camera_the_light_that_the_engine_counts(depth: float, 
     around, line = np.zeros((200, 36)), np.zeros(200)
     sine = np.cos(np.pi / 4)
     for state in stream_states(8, 4):
-        peel_off(10_000, state, 0.998, 0.0, 1.3, sine, depth, back, 0.005, 15.0, around, line)
+        peel_off(10_000, state, 0.998, 0.0, 1.3, sine, 0.0, depth, back, 0.005, 15.0, around, line)
     medium = MonteCarloMedium(unit.sigma_a, unit.sigma_sp, 0.0, unit.eta, unit.thickness_mm, unit.back)
     counted, error = simulate(medium, r_edges_mm=[0.0, 30.0], n_photons=60_000, seed=9).total_radiance(45.0)
     assert np.pi * (around.sum() + line.sum()) / 40_000 == pytest.approx(counted, abs=4 * error)

@@ -50,9 +50,15 @@ class SeenLight:
 
 
 def seen_light(
-    medium: SampleMedium, view_angle_deg: float, *, photons: int, seed: int, anew: bool = False
+    medium: SampleMedium,
+    view_angle_deg: float,
+    *,
+    photons: int,
+    seed: int,
+    anew: bool = False,
+    incidence_deg: float = 0.0,
 ) -> SeenLight:
-    """The light of a half space or a slab lit at normal incidence, seen under `view_angle_deg`.
+    """The light of a half space or a slab seen under `view_angle_deg`, of a beam that runs towards the camera's side.
 
     Taken from the light that ships with the package where it has this medium and angle (`make_light`), else walked
     with that many photons and kept in the user's cache. Walks are made in mean free paths 1/σt′: only the reduced
@@ -60,9 +66,9 @@ def seen_light(
     seed then.
     """
     unit = unit_medium(medium)
-    rows = None if anew else _shipped().get(light_key(unit, view_angle_deg))
+    rows = None if anew or incidence_deg else _shipped().get(light_key(unit, view_angle_deg))
     if rows is None:
-        rows = _cached(unit, view_angle_deg, photons, seed)
+        rows = _cached(unit, view_angle_deg, photons, seed, incidence_deg)
     return SeenLight(r_edges_mfp() / (medium.sigma_a + medium.sigma_sp), rows[0], rows[2:, :-1], rows[1])
 
 
@@ -79,15 +85,16 @@ def _shipped() -> dict[str, Array]:
         return dict(zip(content["keys"].tolist(), content["rows"].astype(float), strict=True))
 
 
-def _cached(unit: SampleMedium, view_angle_deg: float, photons: int, seed: int) -> Array:
+def _cached(unit: SampleMedium, view_angle_deg: float, photons: int, seed: int, incidence_deg: float) -> Array:
     from bssrdf.rig.sim import peel_off, walked_light
 
     walks = (importlib.resources.files("bssrdf.transport") / name for name in ("photon.py", "walk.py"))
     code = "".join([*map(inspect.getsource, (walked_light, peel_off)), *(walk.read_text("utf-8") for walk in walks)])
-    key = json.dumps([asdict(unit), view_angle_deg, photons, seed, code])
+    key = json.dumps([asdict(unit), view_angle_deg, photons, seed, incidence_deg, code])
     file = platformdirs.user_cache_path("bssrdf") / "light" / f"{hashlib.sha256(key.encode()).hexdigest()[:32]}.npy"
     if not file.is_file():
         file.parent.mkdir(parents=True, exist_ok=True)
         with atomic_write(file) as part, part.open("wb") as stream:
-            np.save(stream, walked_light.walked(unit, view_angle_deg, photons, seed), allow_pickle=False)
+            rows = walked_light.walked(unit, view_angle_deg, photons, seed, incidence_deg=incidence_deg)
+            np.save(stream, rows, allow_pickle=False)
     return np.asarray(np.load(file, allow_pickle=False))

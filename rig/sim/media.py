@@ -46,11 +46,13 @@ class SimSample:
 
     name: str
     media: dict[str, SampleMedium]
+    spread_aspect: float = 1.0
+    """How much farther light spreads across the view than along it: fibres."""
 
     def slab(self, thickness_mm: float, back: float) -> SimSample:
         """As much of it, on a back of this diffuse reflectance."""
         slabs = {name: replace(each, thickness_mm=thickness_mm, back=back) for name, each in self.media.items()}
-        return SimSample(self.name, slabs)
+        return replace(self, media=slabs)
 
 
 def published_sample(name: str) -> SimSample:

@@ -30,6 +30,7 @@ def peel_off(
     g: float,
     eta: float,
     cos_outside: float,
+    sin_beam: float,
     thickness: float,
     back: float,
     r_first: float,
@@ -37,9 +38,10 @@ def peel_off(
     around: Array,
     line: Array,
 ) -> None:
-    """Add ∫ L dA of n_photons that entered at the origin along the normal, in every bin, to `around` and `line`.
+    """Add ∫ L dA of n_photons that entered at the origin, in every bin, to `around` and `line`.
 
-    The camera looks from +y at the outside cosine `cos_outside`. around: (n_r, n_phi), light scattered twice or more
+    The camera looks from +y at the outside cosine `cos_outside`; the beam runs towards it, at an angle to the normal
+    whose sine outside is `sin_beam`. around: (n_r, n_phi), light scattered twice or more
     where it leaves the surface, n_phi bins of azimuth from +y over 0 to π; line: (n_r,), light scattered once, which
     leaves on the line towards +y. Radial bins: [0, r_first], then evenly in ln r. A face at depth `thickness`, maybe
     infinite, sends back the share `back` diffusely; to meet it counts as a scattering.
@@ -50,8 +52,10 @@ def peel_off(
     passing = (1.0 - reflected) / (eta * eta * cos_inside)
     n_r, n_phi = around.shape
     for _ in range(n_photons):
-        x = y = z = ux = uy = 0.0
-        uz = weight = 1.0
+        x = y = z = ux = 0.0
+        uy = sin_beam / eta
+        uz = math.sqrt(1.0 - uy * uy)
+        weight = 1.0
         n = 0
         while True:
             d = free_path(state)

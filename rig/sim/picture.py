@@ -30,6 +30,10 @@ class PictureGeometry:
     """(x, y) where the beam lands; the middle of the frame if None."""
     spot_radius_mm: float = 0.2
     """1/e² radius of the irradiance."""
+    spot_aspect: float = 1.0
+    """Length of the spot along the view over its width, 1 or more."""
+    spread_aspect: float = 1.0
+    """How much farther light spreads across the view than along it, as in a fibrous sample."""
     perspective: float = 0.0
     """Relative change of scale per frame height, by which the far edge of the surface looks smaller."""
 
@@ -42,6 +46,11 @@ class PictureGeometry:
         plane = self.mm_per_px * np.array([[scale_x, 0, -scale_x * x_0], [0, scale_y, -scale_y * y_0], [0, 0, 0]])
         plane[2] = (0.0, -self.perspective / height, 1 + self.perspective * y_0 / height)
         return plane
+
+    def spots(self) -> list[tuple[float, float]]:
+        """Round spots that make the long one, by Gauss–Hermite: how far along the view each lies, and its share."""
+        apart = self.spot_radius_mm / 2 * np.sqrt(3 * (self.spot_aspect**2 - 1))
+        return [(-apart, 1 / 6), (0.0, 2 / 3), (apart, 1 / 6)] if apart else [(0.0, 1.0)]
 
     def surface_mm(self, x_px: Array, y_px: Array) -> tuple[Array, Array]:
         """The point of the surface that a point of the image sees."""
@@ -62,7 +71,7 @@ def picture(light: SeenLight, view: PictureGeometry, glare: float = 0.0) -> Arra
     y_px, x_px = np.mgrid[:height, :width].astype(float)
     points = view.surface_mm(x_px, y_px)
     out = _seen(radiance, view, *points)
-    near = np.hypot(*points) < _NEAR_SPOTS * view.spot_radius_mm + 2 * view.mm_per_px
+    near = np.hypot(*points) < _NEAR_SPOTS * view.spot_aspect * view.spot_radius_mm + 2 * view.mm_per_px
     if light.line_beyond is not None:  # the line is as narrow as the spot all along
         across = points[0] if view.view_axis == "y" else points[1]
         near |= np.abs(across) < 3 * view.spot_radius_mm + 2 * view.mm_per_px
@@ -71,7 +80,9 @@ def picture(light: SeenLight, view: PictureGeometry, glare: float = 0.0) -> Arra
 
 
 def _seen(radiance: Radiance, view: PictureGeometry, x_mm: Array, y_mm: Array) -> Array:
-    return radiance(x_mm, y_mm) if view.view_axis == "y" else radiance(y_mm, x_mm)
+    across, along = (x_mm, y_mm) if view.view_axis == "y" else (y_mm, x_mm)
+    stretch = np.sqrt(view.spread_aspect)
+    return sum((share * radiance(across / stretch, along * stretch - at) for at, share in view.spots()), np.zeros(1))
 
 
 def _footprint_mean(radiance: Radiance, view: PictureGeometry, x_px: Array, y_px: Array) -> Array:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -34,6 +34,9 @@ class BenchScene:
     mm_per_px: float = 0.1
     view_angle_deg: float = 45.0
     spot_radius_mm: float = 0.2
+    spot_aspect: float = 1.0
+    incidence_deg: float = 0.0
+    """Of the beam, which runs towards the camera's side."""
     perspective: float = 0.0
     scale_error: float = 0.0
     tile_error: float = 0.0
@@ -54,13 +57,16 @@ class BenchScene:
             self.mm_per_px,
             self.view_angle_deg,
             spot_radius_mm=self.spot_radius_mm,
+            spot_aspect=self.spot_aspect / float(np.cos(np.radians(self.incidence_deg))),
             perspective=self.perspective,
         )
 
     def light(self, sample: SimSample) -> dict[str, SeenLight]:
         """The light of each channel of a sample under the camera's angle."""
         return {
-            channel: seen_light(medium, self.view_angle_deg, photons=self.photons, seed=self.seed)
+            channel: seen_light(
+                medium, self.view_angle_deg, photons=self.photons, seed=self.seed, incidence_deg=self.incidence_deg
+            )
             for channel, medium in sample.media.items()
         }
 
@@ -76,8 +82,9 @@ class BenchScene:
         return tuple(curve.total for curve in self.light(sample).values())
 
     def _unit_current(self, sample: SimSample) -> Array:
+        view = replace(self.view, spread_aspect=sample.spread_aspect)
         planes = {
-            channel: power * picture(curve, self.view, self.glare)
+            channel: power * picture(curve, view, self.glare)
             for (channel, curve), power in zip(self.light(sample).items(), self.channel_power, strict=True)
         }
         return mosaic(self.sensor, planes)
@@ -102,6 +109,5 @@ def read_scene(path: Path) -> BenchScene:
 
 
 def _sample(document: dict[str, Any]) -> SimSample:
-    return SimSample(
-        document["name"], {channel: SampleMedium(**medium) for channel, medium in document["media"].items()}
-    )
+    media = {channel: SampleMedium(**medium) for channel, medium in document["media"].items()}
+    return SimSample(document["name"], media, document["spread_aspect"])

@@ -39,17 +39,27 @@ _OF_CAMERA = 1
 _FAR_DECAYS = 20.0
 
 
-def walked(unit: SampleMedium, view_angle_deg: float, photons: int, seed: int, n_threads: int | None = None) -> Array:
+def walked(
+    unit: SampleMedium,
+    view_angle_deg: float,
+    photons: int,
+    seed: int,
+    n_threads: int | None = None,
+    incidence_deg: float = 0.0,
+) -> Array:
     """`SeenLight` of a medium whose σt′ is 1: rows `beyond`, `line_beyond` and the harmonics.
 
     From two walks of `photons` each. The engine's follows light far out; the other scores every collision towards the
     camera, and is the better one near the beam and in dark media. What is seen at a radius is their mean, weighed by
-    their errors; where it goes is from the second.
+    their errors; where it goes is from the second. Of a beam at an angle the second tells all: the engine's is a mean
+    over the directions of exit.
     """
-    entering = float(transmittance(unit.eta, np.array(1.0)))
-    around, line = _towards_camera(unit, view_angle_deg, photons, seed, n_threads)
-    engine = _by_engine(unit, view_angle_deg, photons, seed, n_threads)
-    even = entering * _smooth(unit, *_combined(engine, np.pi * around.sum(2)))
+    entering = float(transmittance(unit.eta, np.array(np.cos(np.radians(incidence_deg)))))
+    around, line = _towards_camera(unit, view_angle_deg, photons, seed, n_threads, incidence_deg)
+    walks = [np.pi * around.sum(2)]
+    if incidence_deg == 0:
+        walks.append(_by_engine(unit, view_angle_deg, photons, seed, n_threads))
+    even = entering * _smooth(unit, *_combined(*walks))
     return np.stack([beyond_of(even), beyond_of(np.pi * entering * line.mean(0)), *_harmonics_of(unit, around.mean(0))])
 
 
@@ -70,7 +80,7 @@ def _by_engine(unit: SampleMedium, view_angle_deg: float, photons: int, seed: in
 
 
 def _towards_camera(
-    unit: SampleMedium, view_angle_deg: float, photons: int, seed: int, n_threads: int | None
+    unit: SampleMedium, view_angle_deg: float, photons: int, seed: int, n_threads: int | None, incidence_deg: float
 ) -> tuple[Array, Array]:
     """`around` and `line` of `peel_off` per photon, by batch."""
     sigma_s = unit.sigma_sp / (1 - unit.g)
@@ -80,7 +90,8 @@ def _towards_camera(
     n_r = edges.size - 1
     bins_per_e_fold = (n_r - 1) / np.log(edges[-1] / edges[1])
     depth = np.inf if unit.thickness_mm is None else unit.thickness_mm * sigma_t
-    medium = (sigma_s / sigma_t, unit.g, unit.eta, cos_view, depth, unit.back)
+    sin_beam = float(np.sin(np.radians(incidence_deg)))
+    medium = (sigma_s / sigma_t, unit.g, unit.eta, cos_view, sin_beam, depth, unit.back)
 
     def batch(state: Any) -> tuple[Array, Array]:
         around, line = np.zeros((n_r, _AZIMUTHS)), np.zeros(n_r)
