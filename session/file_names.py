@@ -72,6 +72,9 @@ def _readings(name: str, match: re.Match[str]) -> set[float]:
     fraction = float(f"{float(one) / number:.12g}") if number else math.nan
     if match["bar"] not in "-_":
         return {fraction * unit}
+    if one == "0" and match["number"].isdecimal():  # 0_5s is 0.5 s or frame 0 of 5 s
+        decimal = float("0." + match["number"]) * unit
+        return {plain, float(f"{decimal:.12g}")}
     is_label = one == "1" and unit == 1 and number > 1 and match["number"].isdecimal()
     if not is_label:
         return {plain}
