@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import chain
@@ -119,14 +120,32 @@ def _is_frame(path: Path, response: bool) -> bool:
 
 
 def _visible_files(folder: Path) -> Iterator[Path]:
-    """Files that are neither hidden nor in a hidden folder, each of a name that frames.csv can hold."""
-    for path in folder.rglob("*"):
-        parts = path.relative_to(folder).parts
-        if any(part.startswith(".") or part in _NO_FRAMES for part in parts) or not path.is_file():
+    """Files that are neither hidden nor in a hidden folder, each of a name that frames.csv can hold; links followed."""
+    whole, seen = folder.resolve(), set[Path]()
+    for place, folders, names in os.walk(folder, followlinks=True, onerror=_refuse):
+        real = Path(place).resolve()
+        if real in seen or (Path(place).is_symlink() and real.is_relative_to(whole) and real != whole):
+            folders.clear()
             continue
-        if is_frame_name(path, encoded=True) and not "".join(parts).isprintable():
-            raise InputError(f"{folder}: holds the file {path.name!a}, whose name is not plain text; rename it")
-        yield path
+        seen.add(real)
+        folders[:] = filter(_is_visible, folders)
+        for name in names:
+            path = Path(place, name)
+            if not _is_visible(name) or not is_frame_name(path, encoded=True):
+                continue
+            if not str(path.relative_to(folder)).isprintable():
+                raise InputError(f"{folder}: holds the file {name!a}, whose name is not plain text; rename it")
+            if not path.exists():
+                raise InputError(f"{path}: is a link to what is not there; mend the link or take it out")
+            yield path
+
+
+def _is_visible(name: str) -> bool:
+    return not name.startswith(".") and name not in _NO_FRAMES
+
+
+def _refuse(error: OSError) -> None:
+    raise InputError(f"{error.filename}: cannot be read ({error.strerror}); check its permissions") from error
 
 
 def _take(

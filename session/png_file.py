@@ -1,4 +1,4 @@
-"""PNG of 16 bits whose numbers are linear: what its header and an ICC colour profile say about that."""
+"""PNG of 16 bits whose numbers are linear, as far as its header and an ICC colour profile say."""
 
 from __future__ import annotations
 
@@ -6,11 +6,11 @@ import struct
 import zlib
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 from bssrdf.errors import InputError
 from bssrdf.session.raw_frame import RawFrame, without_alpha
 from bssrdf.session.records import Card
+from bssrdf.session.tone_curve import check_profile
 
 _SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _LINEAR_GAMMA = 100_000
@@ -29,8 +29,7 @@ def read_png(path: Path) -> list[RawFrame]:
             f"{path}: has 8 bits, which are seldom linear in light; save 16 bits or TIFF, or have the response curve "
             'fitted: `bssrdf ingest --response`, or response = "debevec" in [camera]'
         )
-    if _is_encoded(chunks):
-        raise InputError(f"{path}: is gamma encoded, as its header says; save it linear, and without gAMA and sRGB")
+    _check_linear(path, chunks)
     data = without_alpha(path, image.data) if image.data.shape[2] in (2, 4) else image.data
     data = data[:, :, 0] if data.shape[2] == 1 else data
     significant = chunks.get(b"sBIT", b"\x10")[0]
@@ -44,23 +43,28 @@ def is_deep(path: Path) -> bool:
         return file.read(25)[24:] == b"\x10"
 
 
+def _check_linear(path: Path, chunks: dict[bytes, bytes]) -> None:
+    """InputError for a PNG whose header says that it is encoded; of what it says cICP counts first, gAMA last."""
+    if b"iCCP" in chunks and b"cICP" not in chunks:
+        check_profile(path, _profile(chunks[b"iCCP"]))
+    elif _is_encoded(chunks):
+        raise InputError(f"{path}: is gamma encoded, as its header says; save it linear, and without gAMA and sRGB")
+
+
 def _is_encoded(chunks: dict[bytes, bytes]) -> bool:
     if b"cICP" in chunks:
-        return len(chunks[b"cICP"]) < 2 or chunks[b"cICP"][1] != _LINEAR_TRANSFER
-    if b"iCCP" in chunks:
-        profile = _profile(chunks[b"iCCP"])
-        return profile is None or not is_linear_profile(profile)
+        return chunks[b"cICP"][1:2] != bytes([_LINEAR_TRANSFER])
     if b"sRGB" in chunks:
         return True
     return b"gAMA" in chunks and abs(int.from_bytes(chunks[b"gAMA"], "big") - _LINEAR_GAMMA) > _LINEAR_GAMMA // 100
 
 
-def _profile(chunk: bytes) -> bytes | None:
-    """The colour profile behind its name and a byte for its code."""
+def _profile(chunk: bytes) -> bytes:
+    """The colour profile behind its name and a byte for its code; empty where it cannot be unpacked."""
     try:
         return zlib.decompress(chunk.partition(b"\0")[2][1:])
     except zlib.error:
-        return None
+        return b""
 
 
 def _chunks(content: bytes) -> Iterator[tuple[bytes, bytes]]:
@@ -72,38 +76,3 @@ def _chunks(content: bytes) -> Iterator[tuple[bytes, bytes]]:
             return
         yield name, content[at + 8 : at + 8 + size]
         at += size + 12
-
-
-_HEADER = 128
-_CURVES = (b"rTRC", b"kTRC")
-_LINEAR_WITHIN = 0.01
-"""Of an exponent, and of a table's middle: 8-bit fixed point rounds to 0.004."""
-
-
-def is_linear_profile(profile: Any) -> bool:
-    """Whether its tone curves are straight; no profile, and one without such a curve, say nothing against it."""
-    if not isinstance(profile, bytes):
-        return True
-    try:
-        (count,) = struct.unpack_from(">I", profile, _HEADER)
-        for i in range(min(count, 100)):
-            name, offset, _ = struct.unpack_from(">4sII", profile, _HEADER + 4 + 12 * i)
-            if name in _CURVES:
-                return _is_straight(profile, offset)
-    except struct.error:
-        return True
-    return True
-
-
-def _is_straight(profile: bytes, offset: int) -> bool:
-    kind = profile[offset : offset + 4]
-    if kind == b"para":
-        (exponent,) = struct.unpack_from(">i", profile, offset + 12)
-        return bool(abs(exponent / 65536 - 1) < _LINEAR_WITHIN)
-    (count,) = struct.unpack_from(">I", profile, offset + 8)
-    if count == 0:
-        return True
-    if count == 1:
-        return bool(abs(struct.unpack_from(">H", profile, offset + 12)[0] / 256 - 1) < _LINEAR_WITHIN)
-    (middle,) = struct.unpack_from(">H", profile, offset + 12 + 2 * (count // 2))
-    return bool(abs(middle / 65535 - (count // 2) / (count - 1)) < _LINEAR_WITHIN)

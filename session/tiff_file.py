@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import logging
 import struct
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -18,10 +18,9 @@ import tifffile
 from numpy.typing import NDArray
 
 from bssrdf.errors import InputError
-from bssrdf.session.png_file import is_linear_profile
+from bssrdf.session.ome import check_one_channel, plane_exposures_s
 from bssrdf.session.raw_frame import (
     MACHINE_VISION_REL_SD,
-    SECONDS,
     RawFrame,
     Tags,
     card_of_tags,
@@ -31,6 +30,7 @@ from bssrdf.session.raw_frame import (
     time_of_tags,
     without_alpha,
 )
+from bssrdf.session.tone_curve import check_profile, check_table
 
 logging.getLogger("tifffile").setLevel(logging.CRITICAL)  # what is wrong with a file is said by our own exception
 
@@ -56,6 +56,7 @@ def read_tiff(path: Path, *, pixels: bool = True) -> Iterator[RawFrame]:
     """The pictures of the file one by one, thumbnails left out; with `pixels` false their cards over empty data."""
     with _opened(path) as tif:
         pages, exposures = _pictures(path, tif), plane_exposures_s(tif)
+        check_one_channel(path, tif, exposures)
         for page in pages:
             frame = _frame(path, page, pixels)
             if exposures.get(page.index):
@@ -162,8 +163,11 @@ def _check_linear(path: Path, page: Any, tags: Tags) -> None:
     if page.photometric not in _LINEAR:
         what = _ENCODED.get(int(page.photometric), f"a picture of kind {page.photometric}")
         raise InputError(f"{path}: is {what}, whose numbers are not linear in light; save mono, mosaic or RGB")
-    if "TransferFunction" in tags or not is_linear_profile(tags.get("InterColorProfile")):
-        raise InputError(f"{path}: is gamma encoded, as its colour profile says; save it linear")
+    if "GrayResponseCurve" in tags:
+        raise InputError(f"{path}: stores optical densities, as its gray response curve says; save it linear")
+    if "TransferFunction" in tags:
+        check_table(path, tags["TransferFunction"])
+    check_profile(path, tags.get("InterColorProfile"))
     if tags.get("LinearizationTable") is not None:
         raise InputError(f"{path}: has a linearisation table that only a RAW reader applies; convert it to plain DNG")
     _check_lossless(path, page, tags)
@@ -250,7 +254,8 @@ def _decoded(path: Path, page: Any) -> NDArray[Any]:
 def plain(data: NDArray[Any]) -> NDArray[Any]:
     """uint8 and uint16 as they are, all other numbers as float32, in the machine's byte order."""
     kept = data.dtype.kind == "u" and data.dtype.itemsize <= 2
-    return np.ascontiguousarray(data, data.dtype.newbyteorder("=") if kept else np.float32)
+    with np.errstate(over="ignore"):  # becomes infinite, as what no camera reads
+        return np.ascontiguousarray(data, data.dtype.newbyteorder("=") if kept else np.float32)
 
 
 def _check_extent(path: Path, page: Any) -> None:
@@ -314,48 +319,3 @@ def _tags(page: Any) -> dict[str, Any]:
     tags = {tag.name: tag.value for tag in page.tags}
     exif = tags.pop("ExifTag", None)
     return {**(exif if isinstance(exif, dict) else {}), **tags}
-
-
-def plane_exposures_s(tif: tifffile.TiffFile) -> dict[int, float]:
-    """Exposure [s] by the index of the page; empty where the file is not an OME-TIFF or does not tell."""
-    if not tif.is_ome or tif.ome_metadata is None:
-        return {}
-    exposures: dict[int, float] = {}
-    for image in _listed(tifffile.xml2dict(tif.ome_metadata)["OME"].get("Image")):
-        pixels = image["Pixels"]
-        pages = _pages(pixels)
-        for plane in _listed(pixels.get("Plane")):
-            seconds = float(plane.get("ExposureTime", 0)) * SECONDS.get(plane.get("ExposureTimeUnit", "s"), 0)
-            if seconds > 0:
-                exposures[pages[_index(pixels, plane, "The")]] = float(f"{seconds:.12g}")
-    return exposures
-
-
-def _pages(pixels: Mapping[str, Any]) -> dict[int, int]:
-    """Page by index of the plane; planes follow each other where nothing else is said."""
-    total = int(np.prod([_size(pixels, axis) for axis in "CZT"]))
-    pages = {i: i for i in range(total)}
-    for block in _listed(pixels.get("TiffData")):
-        first, page = _index(pixels, block, "First"), int(block.get("IFD", 0))
-        for i in range(int(block.get("PlaneCount", 1 if "IFD" in block else total))):
-            pages[first + i] = page + i
-    return pages
-
-
-def _index(pixels: Mapping[str, Any], place: Mapping[str, Any], prefix: str) -> int:
-    """Where a plane stands in the order of the file."""
-    index, step = 0, 1
-    for axis in str(pixels["DimensionOrder"])[2:]:
-        index += step * int(place.get(prefix + axis, 0))
-        step *= _size(pixels, axis)
-    return index
-
-
-def _size(pixels: Mapping[str, Any], axis: str) -> int:
-    """Planes along an axis; the channels of an RGB plane are one."""
-    together = int(_listed(pixels.get("Channel") or {})[0].get("SamplesPerPixel", 1)) if axis == "C" else 1
-    return max(1, int(pixels["Size" + axis]) // together)
-
-
-def _listed(value: Any) -> list[Any]:
-    return value if isinstance(value, list) else [] if value is None else [value]

@@ -24,6 +24,8 @@ CFA = [(33421, "H", 2, (2, 2), True), (33422, "B", 4, bytes((0, 1, 1, 2)), True)
 
 def tiff(data: NDArray[Any], **options: Any) -> Callable[[Path], None]:
     options.setdefault("photometric", "rgb" if data.ndim == 3 and data.shape[-1] > 2 else "minisblack")
+    if options["photometric"] == LINEAR_RAW and data.ndim == 3:
+        options["planarconfig"] = "contig"  # else new versions of tifffile take rows for pages
     return lambda path: tifffile.imwrite(path, data, metadata=None, **options)
 
 
@@ -90,12 +92,34 @@ def radiance(path: Path, rgbe: NDArray[np.uint8], *lines: str, kind: str = "rgbe
     path.write_bytes(head.encode() + rgbe.tobytes())
 
 
-def icc(exponent: float) -> bytes:
-    """A colour profile of which only the red curve matters."""
-    curve = b"curv\0\0\0\0" + struct.pack(">IH", 1, round(256 * exponent))
-    return bytes(128) + struct.pack(">I4sII", 1, b"rTRC", 144, len(curve)) + curve
+def icc(*exponents: float) -> bytes:
+    """A colour profile whose red, green and blue curves are powers."""
+    return profile(*(b"curv\0\0\0\0" + struct.pack(">IH", 1, round(256 * each)) for each in exponents))
 
 
+def icc_table(values: NDArray[Any]) -> bytes:
+    return profile(b"curv\0\0\0\0" + struct.pack(">I", values.size) + np.rint(65535 * values).astype(">u2").tobytes())
+
+
+def icc_formula(kind: int, *parameters: float) -> bytes:
+    fixed = b"".join(struct.pack(">i", round(65536 * each)) for each in parameters)
+    return profile(b"para\0\0\0\0" + struct.pack(">HH", kind, 0) + fixed)
+
+
+def profile(*curves: bytes, names: tuple[bytes, ...] = (b"rTRC", b"gTRC", b"bTRC")) -> bytes:
+    """A colour profile of nothing but these tags."""
+    table, at = struct.pack(">I", len(curves)), 132 + 12 * len(curves)
+    for name, curve in zip(names, curves, strict=False):
+        table += struct.pack(">4sII", name, at, len(curve))
+        at += len(curve)
+    return bytes(128) + table + b"".join(curves)
+
+
+def iccp(stored: bytes) -> tuple[bytes, bytes]:
+    return b"iCCP", b"x\0\0" + zlib.compress(stored)
+
+
+LINEAR_RAW = 34892
 THUMBNAIL = DN[::4, ::4].copy()
 
 

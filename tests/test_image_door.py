@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import struct
-import zlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -25,6 +24,9 @@ from image_files import (
     exr,
     fits,
     icc,
+    icc_formula,
+    icc_table,
+    iccp,
     packed,
     png,
     radiance,
@@ -58,11 +60,19 @@ HOLED = np.where(HOLES, np.nan, DN).astype(np.float32)
         ("a.npy", lambda path: np.save(path, np.asfortranarray(RGB.astype(">u2"))), RGB),
         ("a.fits", content(fits((DN.astype(int) - 32768).astype(">i2"), "BZERO   =                32768")), DN),
         ("a.fits", content(fits((DN.astype(int) - 32768).astype(">i2"), "BZERO   =           3.2768D+04")), DN),
-        ("a.fits", content(fits(np.where(HOLES, -9, DN).astype(">i2"), "BLANK   =                   -9")), HOLED),
+        (
+            "a.fits",
+            content(fits(np.where(HOLES, -9, DN.astype(int)).astype(">i2"), "BLANK   =                   -9")),
+            HOLED,
+        ),
         ("a.fits", content(fits(FLOATS[..., 0].astype(">f4"), "BSCALE  =                  2.0")), 2 * FLOATS[..., 0]),
         ("a.png", png, DN),
         ("a.png", lambda path: png(path, (b"gAMA", struct.pack(">I", 100_000)), data=RGB), RGB),
-        ("a.png", lambda path: png(path, (b"iCCP", b"x\0\0" + zlib.compress(icc(1.0)))), DN),
+        ("a.png", lambda path: png(path, iccp(icc(1, 1, 1))), DN),
+        ("a.png", lambda path: png(path, iccp(icc_table(np.linspace(0, 1, 1024)))), DN),
+        ("a.png", lambda path: png(path, iccp(icc_formula(0, 1.0))), DN),
+        ("a.png", lambda path: png(path, (b"cICP", bytes([1, 8, 0, 1])), (b"sRGB", b"\0")), DN),
+        ("straight.tif", tiff(DN, extratags=[(301, "H", 65536, np.arange(65536, dtype=np.uint16), True)]), DN),
         ("a10.tif", packed(DN & 1023, 10), DN & 1023),
         ("a12.tif", packed(DN, 12), DN),
         ("a14.tif", packed(DN * 3, 14), DN * 3),

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import gzip
 import struct
-import zlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -12,13 +11,35 @@ from typing import Any
 import numpy as np
 import pytest
 import tifffile
-from image_files import CFA, DN, DNG, FLOATS, RGB, RGBE, STACK, content, exr, fits, icc, png, radiance, tiff
+from image_files import (
+    CFA,
+    DN,
+    DNG,
+    FLOATS,
+    RGB,
+    RGBE,
+    STACK,
+    content,
+    exr,
+    fits,
+    icc,
+    icc_formula,
+    icc_table,
+    iccp,
+    png,
+    profile,
+    radiance,
+    tiff,
+)
 
 from bssrdf.errors import InputError
 from bssrdf.session.frame_files import read_frame_file, read_frames_of
 
 QUAD = (33421, "H", 2, (4, 4), True), (33422, "B", 16, bytes((0, 0, 1, 1) * 2 + (1, 1, 2, 2) * 2), True)
 COLOURS = np.zeros((3, 256), np.uint16)
+RAMP = np.arange(65536, dtype=np.uint16)
+S_CURVE = np.linspace(0, 1, 256) - 0.1 * np.sin(np.linspace(0, 2 * np.pi, 256))
+"""Whose middle is straight."""
 
 
 @pytest.mark.parametrize(
@@ -36,7 +57,21 @@ COLOURS = np.zeros((3, 256), np.uint16)
         ("a.dng", tiff(DN, photometric=32803, extratags=[*DNG, *QUAD]), "quad Bayer"),
         ("a.png", lambda path: png(path, (b"sRGB", b"\0")), "gamma encoded"),
         ("a.png", lambda path: png(path, (b"gAMA", struct.pack(">I", 45_455))), "gamma encoded"),
-        ("a.png", lambda path: png(path, (b"iCCP", b"x\0\0" + zlib.compress(icc(2.2)))), "gamma encoded"),
+        ("a.png", lambda path: png(path, iccp(icc(2.2))), "gamma encoded"),
+        ("a.png", lambda path: png(path, iccp(icc(1, 2.2, 1))), "gamma encoded"),
+        ("a.png", lambda path: png(path, iccp(icc_table(S_CURVE))), "gamma encoded"),
+        ("a.png", lambda path: png(path, iccp(icc_formula(3, 2.4, 0.948, 0.052, 0.0774, 0.04045))), "gamma encoded"),
+        ("a.png", lambda path: png(path, iccp(profile(bytes(16), names=(b"A2B0",)))), "without a tone curve"),
+        ("a.png", lambda path: png(path, iccp(b"no profile")), "without a tone curve"),
+        ("a.png", lambda path: png(path, (b"iCCP", b"x\0\0not packed")), "without a tone curve"),
+        ("a.png", lambda path: png(path, (b"cICP", bytes([9, 16, 0, 1]))), "gamma encoded"),
+        ("a.tif", tiff(RGB, iccprofile=profile(bytes(16), names=(b"A2B0",))), "without a tone curve"),
+        (
+            "a.tif",
+            tiff(DN, extratags=[(301, "H", 65536, (RAMP / 65535.0 * RAMP).astype(np.uint16), True)]),
+            "its transfer function says",
+        ),
+        ("a.tif", tiff(DN, extratags=[(291, "H", 65536, RAMP, True)]), "optical densities"),
         ("a.png", lambda path: png(path, data=DN.astype(np.uint8)), "8 bits"),
         ("a.pgm", content(b"P2 16 12 4095\n1 2 3"), "its numbers are not 12 x 16 x 1"),
         ("a.npy", lambda path: np.save(path, DN > 5), "not an array of numbers"),
@@ -59,6 +94,29 @@ def test_what_is_not_light_is_refused_by_name(
     write(tmp_path / name)
     with pytest.raises(InputError, match=cause):
         read_frame_file(tmp_path / name)
+
+
+@pytest.mark.parametrize(
+    ("channels", "exposures_ms", "is_refused"),
+    [
+        ({"EmissionWavelength": [450, 550, 650]}, [1, 4, 16], True),
+        ({"Name": ["red", "green", "blue"]}, [5, 5, 5], True),
+        ({"Name": ["1 ms", "4 ms", "16 ms"]}, [1, 4, 16], False),
+    ],
+)
+def test_pictures_of_several_colours_are_no_bracket(
+    tmp_path: Path, channels: dict[str, Any], exposures_ms: list[float], is_refused: bool
+) -> None:
+    told = {"ExposureTime": exposures_ms, "ExposureTimeUnit": ["ms"] * 3}
+    tifffile.imwrite(tmp_path / "a.ome.tif", STACK, metadata={"axes": "CYX", "Channel": channels, "Plane": told})
+    if is_refused:
+        with pytest.raises(InputError, match=r"a picture for each of .*; save each channel"):
+            list(read_frames_of(tmp_path / "a.ome.tif"))
+    else:
+        assert [frame.exposure_s for frame in read_frames_of(tmp_path / "a.ome.tif")] == [0.001, 0.004, 0.016]
+    tifffile.imwrite(tmp_path / "b.tif", STACK, imagej=True, metadata={"axes": "CYX"})
+    with pytest.raises(InputError, match="a picture for each of channel 0, channel 1, channel 2; save each channel"):
+        list(read_frames_of(tmp_path / "b.tif"))
 
 
 def test_raw_whose_last_rows_no_sensor_could_have_read_is_cut_short(tmp_path: Path) -> None:

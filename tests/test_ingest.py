@@ -347,3 +347,15 @@ def test_what_is_known_already_goes_into_session_toml(folder: Path, tmp_path: Pa
         assert run(cli, [*words, "--out", str(tmp_path / "wrong"), *wrong]) == 3
     assert run(cli, [*words, "--out", str(tmp_path / "wrong"), "--reference", "white"]) == 2
     assert not (tmp_path / "wrong").exists()
+
+
+def test_links_are_followed_and_none_is_lost_or_read_twice(folder: Path, tmp_path: Path) -> None:
+    for name in ("lid", "tile"):
+        (folder / name).rename(tmp_path / name)
+        (folder / name).symlink_to(tmp_path / name)
+    (folder / "wax/up").symlink_to(folder)
+    (folder / "again").symlink_to(folder / "wax")
+    assert len(ingest_folder(folder, tmp_path / "s", kinds=RULES)) == 6
+    (folder / "wax/a_2s.tif").symlink_to(tmp_path / "nowhere.tif")
+    with pytest.raises(InputError, match=r"a_2s\.tif: is a link to what is not there"):
+        ingest_folder(folder, tmp_path / "t", kinds=RULES)
