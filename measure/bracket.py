@@ -104,7 +104,7 @@ def _numbers(path: Path, data: NDArray[Any]) -> NDArray[Any]:
     if _is_whole(data):
         return data
     if not np.isfinite(data).any():
-        raise InputError(f"{path}: holds no number, only NaN or infinity; write it again, or leave it out")
+        raise InputError(f"{path}: holds no number that single precision can; write it again, or leave it out")
     return np.where(np.isneginf(data), data.dtype.type(np.nan), data)
 
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from bssrdf.calib import Sensor, clipped_variance, pile_up_dn, read_noise_dn, step_dn, thinned
 from bssrdf.errors import InputError
 from bssrdf.measure.bracket import Bracket
-from bssrdf.measure.pixels import mosaic_period, places
+from bssrdf.measure.pixels import check_picture, mosaic_period, places
 from bssrdf.session.flags import Flag
 from bssrdf.session.records import Camera
 
@@ -34,6 +34,8 @@ def first_guess(brackets: Sequence[Bracket], camera: Camera) -> tuple[Sensor, li
     shortest = max((bracket.darks[0] for bracket in brackets), key=len)[:2]
     darks = [brackets[0].read(dark) for dark in shortest]
     longest = [bracket.read(bracket.frames[-1]) for bracket in brackets]
+    for bracket, picture in zip(brackets, longest, strict=True):
+        check_picture(bracket.frames[-1].file, picture)
     step = _step([*darks, *longest])
     if _levels(darks[0]) == 1 and np.median(darks[0]) > 0:
         _check_noise(brackets, step)

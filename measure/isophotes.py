@@ -45,6 +45,8 @@ _CORE_SD = 0.05
 """How round a beam is taken to be."""
 _RING_SD = 0.1
 """A ring that tells its aspect worse than this tells nothing."""
+_STEEPEST = 100.0
+"""−d ln L/d ln r that no light reaches while it can be seen: noise about 0 seems to, and to any height."""
 _STEPS, _LARGEST_STEP, _SMALL_STEP = 6, 0.5, 0.02
 _BEYOND = 0.5
 """Share of the light by whose radius a length is told: farther out it leaves the frame."""
@@ -290,6 +292,8 @@ def _ring(across: Array, along: Array, value: Array, n: Array, middle: float) ->
         if not solved[0] > 0:
             return None
         slope -= float(solved[1] / solved[0])
+        if abs(slope) > _STEEPEST:
+            return None
     left = level * weight - columns @ solved
     covariance = inverse * float(left @ left) / (len(left) - len(solved))
     noise = float(np.sqrt(covariance[5, 5]) / solved[0])

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from bssrdf.calib import Exposures, pile_up_dn
 from bssrdf.errors import InputError
 from bssrdf.measure.hdr import NO_DATA, SATURATED, Hdr, Plane, Planes
-from bssrdf.measure.pixels import mosaic_period, places
+from bssrdf.measure.pixels import check_picture, mosaic_period, places
 from bssrdf.measure.stored import StoredHdr
 from bssrdf.measure.summary import Summary, read_summary, write_summary
 from bssrdf.measure.total_errors import Timing
@@ -131,6 +131,7 @@ def read_elsewhere(
         if kind in images or any(other.kind == kind for other in frames):
             raise InputError(f"{frame.file}: is one of several images of the {kind}; leave one in frames.csv")
         radiance = read_linear_image(session.path / frame.file)
+        check_picture(frame.file, radiance)
         _check_light_is_inside(frame, radiance)
         layout = "rgb" if radiance.ndim == 3 else session.camera.layout or frame.card.layout or "mono"
         if images and layout != camera.layout:

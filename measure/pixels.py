@@ -5,10 +5,32 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
 from numpy.typing import NDArray
 
+from bssrdf.errors import InputError
 from bssrdf.measure.hdr import Bits, Counts, Pixels, Plane, Planes
 from bssrdf.session.records import Beam
+
+_LEAST_SIDE = 16
+"""Pixels: eight of a colour on a mosaic."""
+_RANGE = 1e-14, 1e15
+"""Of a picture's largest number: single precision then holds the variances of bright and of dark pixels."""
+
+
+def check_picture(file: str, picture: NDArray[Any]) -> None:
+    """InputError for a picture too small to be one, or of numbers so large or small that their squares are lost."""
+    height, width = picture.shape[:2]
+    if min(height, width) < _LEAST_SIDE:
+        raise InputError(f"{file}: is {width} x {height} pixels, too small for a spot and its surroundings")
+    if picture.dtype.kind != "f":
+        return
+    largest = float(np.max(np.abs(picture), where=np.isfinite(picture), initial=0.0))
+    if largest and not _RANGE[0] < largest < _RANGE[1]:
+        raise InputError(
+            f"{file}: its largest number is {largest:.2g}; scale all frames by one factor, to between "
+            f"{_RANGE[0]:g} and {_RANGE[1]:g}"
+        )
 
 
 @dataclass(frozen=True)

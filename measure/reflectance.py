@@ -18,12 +18,15 @@ from bssrdf.measure.pixels import mosaic_period
 from bssrdf.measure.profile import Points, RadialProfile, bin_edges, profile
 from bssrdf.measure.pyramid import Blocks
 from bssrdf.measure.tail import (
+    INNER_SHARE,
+    LEAST_BINS,
     Boundary,
     Estimate,
     Surroundings,
     Tail,
     TailFit,
     fit_tail,
+    most_beyond,
 )
 from bssrdf.session.records import Array, ChannelSlice
 
@@ -115,12 +118,20 @@ def total_light(
             if fit is not None:
                 reflects = (inside + outside_of(fit.tail)) * per_light
                 fit = _with_floor(where, surroundings, reflects)
+    most, reach = most_beyond(*where[:2]), where[1]
+    if fit is None and np.count_nonzero(curve.r > INNER_SHARE * reach) < LEAST_BINS:
+        raise InputError(
+            f"{image.name}: the frame ends {reach:.2g} mm from the spot, too near to tell the light beyond it; take a "
+            "larger part of the frame"
+        )
     if fit is None:
-        return TotalReflectance(inside, float(np.sqrt(variance)), 0.0, Estimate(0.0, 0.0), within)
+        sd = float(np.sqrt(variance + (most / 2) ** 2)) if np.isfinite(most) else np.inf
+        return TotalReflectance(inside, sd, 0.0, Estimate(0.0, 0.0), within)
     outside = fit.estimate(outside_of)
     beyond = fit.tail.beyond(outline)
     light = inside + outside.value
-    sd = float(np.sqrt(variance + outside.sd**2 + (_BEYOND_REL_SD * beyond) ** 2))
+    outside_sd = min(outside.sd, most)
+    sd = float(np.sqrt(variance + outside_sd**2 + (_BEYOND_REL_SD * beyond) ** 2))
     return TotalReflectance(light, sd, beyond / light, fit.estimate(lambda tail: tail.floor), within)
 
 

@@ -24,12 +24,12 @@ from bssrdf.session.records import Array
 from bssrdf.transport import decay_constants, half_spaces
 from bssrdf.transport.exit_radiance import boundary_a, transmittance
 
-_INNER_SHARE = 0.35
+INNER_SHARE = 0.35
 """The fit begins at this share of the distance from the beam to the nearest edge of the frame."""
 _MODEL_REL_SD = 0.003
 _MODEL_FREEDOM = 4
 """The form is right to this, and departs from the truth as smoothly as a curve of this many free values."""
-_LEAST_BINS = 8
+LEAST_BINS = 8
 _OUTERMOST = 4
 """One in so many bins, the farthest, tells a floor below 0 to begin with: darks brighter than black make one."""
 ATTENUATION_REL_SD = 0.03
@@ -239,6 +239,20 @@ class TailFit:
         return Estimate(value, float(np.sqrt(slope @ self.covariance @ slope)))
 
 
+def most_beyond(profile: RadialProfile, reach: float) -> float:
+    """Light that may lie farther than `reach` from the beam, by two errors: no medium's falls more slowly than r⁻³.
+
+    It bounds the error of a tail that noise hides, whose logarithms a fit leaves open by orders of magnitude.
+    """
+    outer = (profile.r > INNER_SHARE * reach) & (profile.r < reach) & (profile.sd > 0) & np.isfinite(profile.sd)
+    cube = profile.r[outer] ** 3
+    weight = (cube * profile.sd[outer]) ** -2.0
+    if not weight.size:
+        return np.inf
+    mean, sd = float(np.average(cube * profile.value[outer], weights=weight)), float(weight.sum() ** -0.5)
+    return 2 * np.pi * (max(mean, 0.0) + 2 * sd) / reach
+
+
 def fit_tail(
     profile: RadialProfile,
     reach: float,
@@ -255,14 +269,14 @@ def fit_tail(
     where that path is so many mm, helps to.
     """
     reach = min(reach, NEAR_WALL * holder.held.radius)
-    outer = (profile.r > _INNER_SHARE * reach) & np.isfinite(profile.sd)
+    outer = (profile.r > INNER_SHARE * reach) & np.isfinite(profile.sd)
     outer &= profile.r < NEAR_WALL * holder.held.radius
-    n_modes = holder.modes(_INNER_SHARE * reach)
+    n_modes = holder.modes(INNER_SHARE * reach)
     r, value = profile.r[outer], profile.value[outer]
     model_sd = _MODEL_REL_SD * np.sqrt(max(1.0, len(r) / _MODEL_FREEDOM))
     sd = np.hypot(profile.sd[outer], model_sd * value)
     r, value, sd = r[sd > 0], value[sd > 0], sd[sd > 0]
-    if len(r) < _LEAST_BINS:
+    if len(r) < LEAST_BINS:
         return None
     below = min(0.0, float(np.mean(value[-len(r) // _OUTERMOST :]))) if with_floor else 0.0
     first = float(value[0]) - below

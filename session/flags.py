@@ -151,7 +151,7 @@ class Flag(StrEnum):
     LIGHT_LOST = (
         "light_lost",
         ("measure", "fit"),
-        "Over 5 % of the light fell outside the frame: its share was estimated, and R rests on it.",
+        "Over 2 % of the light (in a fit 5 %) fell outside the frame: its share was estimated, and R rests on it.",
     )
     MISSING_PIXELS = (
         "missing_pixels",

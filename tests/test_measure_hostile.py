@@ -94,6 +94,12 @@ def test_frame_of_no_number_at_all_is_refused_by_name(session: Session) -> None:
     refused(session, r"reference_2_0\.tif: holds no number")
 
 
+@pytest.mark.parametrize("unit", [1e-24, 1e18, 1e40])
+def test_numbers_whose_squares_single_precision_loses_are_refused(session: Session, unit: float) -> None:
+    change(session, "*", lambda raw: raw * unit)
+    refused(replace(session, camera=Camera("mono")), "largest number is .*; scale all frames|holds no number that")
+
+
 @pytest.mark.parametrize(("kind", "number"), [("sample", 0), ("sample", LAST), ("reference", 3)])
 def test_frame_without_light_is_refused_by_name(session: Session, kind: str, number: int) -> None:
     rng = np.random.default_rng(0)
@@ -359,3 +365,21 @@ def test_image_in_its_own_unit_is_not_compared_with_frames(session: Session, who
     frames = (session.path / "frames.csv").read_text(encoding="utf-8").replace("tile.exr", "other.exr")
     (session.path / "frames.csv").write_text(frames, encoding="utf-8")
     refused(session, r"other\.exr: is in a unit of the tool that merged it")
+
+
+@pytest.mark.parametrize(("height", "width", "cause"), [(1, 300, "too small"), (200, 1, "too small"), (16, 16, "ends")])
+def test_a_frame_that_shows_next_to_nothing_but_the_spot_is_refused(
+    session: Session, height: int, width: int, cause: str
+) -> None:
+    rows, columns = slice(100 - height // 2, 100 + -(-height // 2)), slice(150 - width // 2, 150 + -(-width // 2))
+    change(session, "*", lambda raw: raw[rows, columns])
+    refused(replace(session, camera=Camera("mono")), cause)
+
+
+def test_light_beyond_a_small_frame_is_flagged_and_its_error_stated(session: Session) -> None:
+    change(session, "*", lambda raw: raw[84:116, 134:166])
+    found = measure_session(replace(session, camera=Camera("mono"))).slice
+    assert holds(found)
+    assert found is not None
+    assert "light_lost" in found.flags
+    assert 0.005 < found.total_r_sd["G"] < 0.05

@@ -11,6 +11,7 @@ import pytest
 
 from bssrdf.bench.sabotage import MARBLE, SABOTAGES, SKIN, SabotagedBench, judge, truth_is_held, write_session
 from bssrdf.errors import InputError
+from bssrdf.measure.isophotes import _ring
 from bssrdf.measure.session import measure_session
 from bssrdf.session.records import Slice
 from bssrdf.session.session_toml import read_session
@@ -114,3 +115,12 @@ def test_sabotaged_sessions_are_caught(tmp_path: Path) -> None:
     outcomes = [judge(name, tmp_path / str(at), holds_truth=truth_is_held) for at, name in enumerate(SABOTAGES)]
     assert len(outcomes) == 24
     assert sum(each.caught for each in outcomes) >= 23, [each for each in outcomes if not each.caught]
+
+
+@pytest.mark.parametrize("seed", [110, 820])
+def test_a_ring_of_noise_about_nothing_tells_no_aspect(seed: int) -> None:
+    """Its slope seemed to rise without end, and overflowed."""
+    rng = np.random.default_rng(seed)
+    angle, radius = rng.uniform(0, 2 * np.pi, 200), rng.uniform(10, 11.5, 200)
+    ring = radius * np.sin(angle), radius * np.cos(angle), rng.normal(0, 1, 200), np.ones(200)
+    assert _ring(*ring, middle=10.7) is None
