@@ -114,6 +114,8 @@ def parse_columns(file: Path, content: str, known: Sequence[str], needed: Sequen
 
 def _check_commas(file: Path, header: Sequence[str], needed: Sequence[str]) -> None:
     """InputError that names what stands in the place of commas, or of a header."""
+    if header and header[0].startswith("#"):
+        raise InputError(f"{file}: begins with a comment; begin it with the line {','.join(needed)}")
     if len(header) == 1:
         for separator, name in {";": "semicolons", "\t": "tabs", "|": "bars", " ": "spaces"}.items():
             if separator in header[0]:

@@ -114,6 +114,10 @@ FRAMES_CASES = {
     "an absolute path": (FRAMES_HEADER + "/etc/hostname,sample,1\n", ["'/etc/hostname'", "outside"]),
     "a link that leads outside": (FRAMES_HEADER + "frames/link.tif,sample,1\n", ["'frames/link.tif'", "outside"]),
     "a link that leads to itself": (FRAMES_HEADER + "loop/a.tif,sample,1\n", ["loop/a.tif"]),
+    "a comment first": (
+        "# mine\n" + FRAMES_HEADER + "a.tif,sample,1\n",
+        ["begins with a comment", "file,kind,exposure_s"],
+    ),
     "no file": (FRAMES_HEADER + ",sample,1\n", ["line 2", "file ''"]),
     "a quote left open": (FRAMES_HEADER + '"a.tif,sample,1\n', ["CSV"]),
     "binary rubbish": (b"\xff\xfe\x00\x81\x00", ["UTF-8"]),
