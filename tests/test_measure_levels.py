@@ -23,7 +23,7 @@ from bssrdf.rig.sim.sensor import SimSensor, expose
 from bssrdf.session.frames_csv import write_frames
 from bssrdf.session.records import Beam, Camera, Frame, Geometry, Material, Reference, Session
 
-BENCH = replace(scene("marble"), spot_radius_mm=3.0)
+BENCH = replace(scene(), spot_radius_mm=3.0)
 R, TILE = (BENCH.radiance_factors(sample)[0] for sample in (BENCH.sample, BENCH.tile))
 REPEATS = 8
 FULL_WELL_E = 1.6e6
