@@ -38,7 +38,7 @@ REFERENCE_MEDIA = {
     "half_forward": (0.03, 1.0, 0.5, 1.45),
 }
 """σa, σs′ [1/mm], g, η."""
-FOLDER = Path(__file__).parent.parent / "transport" / "tables"
+FOLDER = Path(__file__).parent.parent / "transport" / "white" / "tables"
 ANGLES_DEG = (0.0, 30.0, 45.0, 60.0)
 
 

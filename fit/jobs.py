@@ -33,8 +33,6 @@ POINTS = 130_000
 """Radii that a batch looks at together: more would not fit the caches, with fewer each call of NumPy costs too much."""
 MOST_ROWS = 1024
 _BY_TILE: tuple[Source, ...] = ("scale", "length", "view")
-_WHOLE_CIRCLE = 1.5
-"""Radians of arc from which on a slice is a mean over all azimuths."""
 
 
 class Options(NamedTuple):
@@ -232,9 +230,8 @@ def _shared(
     finite = tuple(k for k in every if sights[k].held != "half")
     found += [Shared("ratio", finite)] if finite else []
     found += [Shared(source, every) for source in OF_MEDIUM if source in aside and touched(every, source)]
-    slanted = tuple(k for k in filmed if (curves[k].arc < _WHOLE_CIRCLE).any())
-    if slanted and model.exit_error_mfp > 0:
-        found += [Shared("exit", slanted, mode) for mode in range(EXIT_MODES)]
+    if filmed and model.exit_error_mfp > 0:
+        found += [Shared("exit", tuple(filmed), mode) for mode in range(EXIT_MODES)]
     if not model.biased:
         found += [Shared("side", (k,), mode) for k in filmed if sights[k].slant > 0 for mode in range(SIDE_MODES)]
         found += [Shared("table", every, mode) for mode in range(TABLE_MODES)]

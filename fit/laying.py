@@ -29,8 +29,8 @@ from bssrdf.fit.problem import (
     OF_CURVE,
     OF_MEDIUM,
     OF_SAMPLE,
-    SIDE_MODES,
     TABLE_MODES,
+    TABLE_SHARED,
     Laid,
     Looked,
     Neighbours,
@@ -152,7 +152,7 @@ def _responses(
     one = xp.ones_like(c.r_lo)
     view, by_eta = data.factor_slopes[k]
     tilt = float(np.sqrt(1 - sight.cos_view**2)) / sight.cos_view
-    waves = None
+    waves = exits = sides = None
     columns = []
     for error in plan.shared:
         if k not in error.slices:
@@ -171,9 +171,11 @@ def _responses(
         elif error.source == "ratio":
             response = curve_off(laid.samples[k])
         elif error.source == "exit":
-            response = exit_modes(e, sight, model, c, sigma)[error.mode]
+            exits = exits or exit_modes(e, sight, model, c, sigma)
+            response = exits[error.mode]
         elif error.source == "side":
-            response = side_modes(e, sight, c, sigma, at.q)[error.mode]
+            sides = sides or side_modes(e, sight, model, c, sigma, at.q)
+            response = sides[error.mode]
         elif error.source == "table":
             waves = waves or _waves(e, model, data, sigma, at.q, k)
             response = waves[error.mode]
@@ -197,8 +199,7 @@ def _relative(xp: Any, part: Any, value: Any) -> Any:
 
 
 def _waves(e: Engine, model: Light, data: Problem, sigma: Any, q: Any, k: int) -> list[Any]:
-    """The table's noise along slice k: cosines over the extent of all data, as the table counts radii, of the size that
-    noise independent by knot has along them."""
+    """The table's noise along slice k: cosines over the extent of all data, as the table counts radii."""
     xp = e.xp
     inner = reduce(xp.minimum, [c.reach[:, :1] for c in data.curves])
     outer = reduce(xp.maximum, [c.reach[:, 1:] for c in data.curves])
@@ -206,7 +207,7 @@ def _waves(e: Engine, model: Light, data: Problem, sigma: Any, q: Any, k: int) -
     span = xp.maximum(hi - lo, KNOT_STEP)
     x = xp.maximum(sigma * (data.curves[k].r_lo + data.curves[k].r_hi) / 2, NEAREST_MFP)
     first = xp.cos(np.pi * xp.clip((xp.log1p(x / R_ZERO) - lo) / span, 0, 1))
-    level = model.shape_sd(e, q, x) * xp.sqrt(KNOT_STEP / span)
+    level = TABLE_SHARED * model.shape_sd(e, q, x)
     cosines = [1 + 0 * first, first]
     while len(cosines) < TABLE_MODES:
         cosines.append(2 * first * cosines[-1] - cosines[-2])
@@ -227,8 +228,8 @@ def _total_responses(
             response = sds.scale + 0 * at.q
         elif k in error.slices and error.source == "view":
             response = sds.view * view + 0 * at.q
-        elif k in error.slices and error.source == "side" and error.mode == SIDE_MODES - 1:
-            response = side_of_total(plan.sights[k], model, at.q)
+        elif k in error.slices and error.source == "side":
+            response = side_of_total(plan.sights[k], model, at.q)[error.mode]
         elif k in error.slices and error.source in OF_SAMPLE:
             response = getattr(laid.samples[k], f"total_by_{error.source}")
         elif k in error.slices and error.source in ("eta", "g"):

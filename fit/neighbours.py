@@ -24,10 +24,15 @@ from bssrdf.transport.arrays import NUMPY
 from bssrdf.transport.light import Light, WhiteTable, coefficients, dipole, shape_of
 
 Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
 NEAR_BY = 1e-5
 """In the parameters: what another model would find is asked for to less than 0.1 %."""
 LEAST_RATIO = 0.2
 """Of a fitted coefficient to the true one, in undoing a bias."""
+LIKE_PULL, LIKE_CHI2 = 1.5, 0.3
+"""Of honest curves nine in ten are as near to what the dipole makes of the light of their medium."""
+FITS_PULL = 3.0
+"""Light that the dipole itself made is not doubted."""
 E = NUMPY
 _OF_MODELS = ("table", "exit", "side", "eta", "g")
 """Shared errors that ask for more than the data."""
@@ -107,16 +112,29 @@ class Bias(NamedTuple):
     pull: Floats
     """(b,): of R, and how far the curve departs, on that light: no data could do better."""
     drift: Floats
+    doubtful: Bools
+    """(b,): whether R pulls otherwise on that light than on the data, or χ² differs, and the dipole does not fit."""
 
 
-def bias(plan: Plan, truth: Truth, data: Problem, found: Solution) -> Bias:
+class TableSays(NamedTuple):
+    """What the table's own fit comes to where that of a biased model is in doubt; 0 elsewhere."""
+
+    pull: Floats
+    drift: Floats
+    """Infinite where no medium of the table comes near."""
+
+
+def bias(plan: Plan, truth: Truth, data: Problem, found: Solution, judged: Judged) -> Bias:
     """At the medium found and then at that less its bias; how far the bias moves between the two is added."""
     first, on_first = _bias_at(plan, truth, data, found, found.point)
     again, on_again = _bias_at(plan, truth, data, found, _unbiased(found.point, first))
     off_first, off_again = (1 / np.maximum(1 + each, LEAST_RATIO) - 1 for each in (first, again))
     error = np.where(np.isfinite(again), np.abs(off_again) + np.abs(off_again - off_first), np.abs(off_first))
     pull = np.fmax(np.abs(on_first.pull), np.abs(on_again.pull))
-    return Bias(error, pull, np.fmax(on_first.drift, on_again.drift))
+    fits = (judged.chi2 < 1) & (np.abs(judged.pull) < FITS_PULL)
+    same = np.abs(judged.pull - on_again.pull) < LIKE_PULL
+    same &= np.abs(judged.chi2 - on_again.chi2) < LIKE_CHI2 * on_again.chi2
+    return Bias(error, pull, np.fmax(on_first.drift, on_again.drift), ~fits & ~same)
 
 
 def _bias_at(plan: Plan, truth: Truth, data: Problem, found: Solution, at: Point) -> tuple[Floats, Judged]:

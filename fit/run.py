@@ -19,6 +19,7 @@ from bssrdf.fit.models import (
     SILENT,
     Making,
     ModelName,
+    Truth,
     beam_of,
     has_table,
     named,
@@ -26,7 +27,7 @@ from bssrdf.fit.models import (
     tabulated,
     truth_of,
 )
-from bssrdf.fit.neighbours import bias, dipole_on_light, refitted, sample_error, sensitivities, table_error
+from bssrdf.fit.neighbours import TableSays, bias, dipole_on_light, refitted, sample_error, sensitivities, table_error
 from bssrdf.fit.problem import Constraint
 from bssrdf.fit.sample_verdict import thin_rows
 from bssrdf.fit.verdict import FEWEST, Extra, channel_fits, needs_profile, relative_sds
@@ -174,8 +175,25 @@ def extra_of(fitted: Fitted, making: Making) -> Extra:
     truth = truth_of(piece, fitted.options.tables, making)
     if truth is None:
         return extra._replace(checked=False)
-    found = bias(fitted.plan, truth, fitted.data, fitted.found)
-    return extra._replace(model_error=np.hypot(of_sample, found.error), bias=found, checked=truth.own)
+    found = bias(fitted.plan, truth, fitted.data, fitted.found, fitted.judged)
+    says = _by_table(fitted, truth, found.doubtful) if truth.own and fitted.plan.weighed else None
+    error = np.hypot(of_sample, found.error)
+    return extra._replace(model_error=error, bias=found, checked=truth.own, of_table=says)
+
+
+def _by_table(fitted: Fitted, truth: Truth, doubted: np.ndarray) -> TableSays:
+    """The table's fit to the radii that the biased model takes, of rows in doubt: it sees far smaller contradictions,
+    an R of another sample among them."""
+    says = TableSays(np.zeros(doubted.size), np.zeros(doubted.size))
+    rows = np.flatnonzero(doubted & fitted.found.converged & fitted.judged.errors_known & (fitted.judged.n >= FEWEST))
+    if rows.size:
+        table = truth.table._replace(window_mfp=fitted.model.window_mfp)
+        part = _subset(fitted, rows)
+        again = fit_group(part.jobs, fitted.options, table, begin=part.found.point)
+        good = again.found.converged
+        says.pull[rows] = np.where(good, again.judged.pull, 0.0)
+        says.drift[rows] = np.where(good, again.judged.drift, np.inf)
+    return says
 
 
 def _profiled(fitted: Fitted) -> tuple[np.ndarray, Profile] | None:

@@ -15,7 +15,7 @@ from bssrdf.fit.intervals import Profile
 from bssrdf.fit.jobs import Job
 from bssrdf.fit.layout import camera_factor
 from bssrdf.fit.models import OBLIQUE_DEG, is_clamped
-from bssrdf.fit.neighbours import Bias, to_log
+from bssrdf.fit.neighbours import Bias, TableSays, to_log
 from bssrdf.fit.outliers import has_outliers
 from bssrdf.fit.sample_verdict import InSample, in_samples, thin_rows
 from bssrdf.session.flags import Flag
@@ -75,6 +75,7 @@ class Extra(NamedTuple):
     """That of a model which a table tells."""
     checked: bool
     """False where no table of the medium itself was at hand."""
+    of_table: TableSays | None = None
 
 
 class _Answer(NamedTuple):
@@ -299,6 +300,7 @@ def _held(fitted: Fitted, extra: Extra, answer: _Answer, used: _Used) -> dict[st
     )
     spots = np.array([max(p.spot_radius_mm or 0.0 for p in job.pieces) for job in jobs])
     pull, drift = (0.0, 0.0) if extra.bias is None else (BIAS_ROOM * extra.bias.pull, BIAS_ROOM * extra.bias.drift)
+    table_pull, table_drift = (0.0, 0.0) if extra.of_table is None else extra.of_table
     found: dict[str, Any] = {
         Flag.ALBEDO_ONE: answer.interval_a[:, 0] <= 0,
         Flag.DIPOLE_UNCHECKED: biased and not extra.checked,
@@ -321,13 +323,15 @@ def _held(fitted: Fitted, extra: Extra, answer: _Answer, used: _Used) -> dict[st
         Flag.SCALE_SUSPECT: (not plan.scale_free) & ~_within_reason(fitted, totals),
         Flag.SD_FILLED: np.any([c.filled[:, 0] for c in fitted.data.curves], axis=0),
         Flag.SD_UNKNOWN: ~known,
-        Flag.SHAPE_MISFIT: known & ~thin_rows(fitted) & (judged.drift > np.hypot(MOST_DRIFT, drift)),
+        Flag.SHAPE_MISFIT: known
+        & ~thin_rows(fitted)
+        & ((judged.drift > np.hypot(MOST_DRIFT, drift)) | (table_drift > MOST_DRIFT)),
         Flag.SIGMA_A_UNIDENTIFIABLE: ~np.isfinite(answer.interval_a[:, 1]),
         Flag.SIDE_UNKNOWN: not biased and any(sight.slant > 0 for sight in plan.sights if sight.camera),
         Flag.SINGLE_SCATTERING: biased & (q > np.sqrt(1.5)),
         Flag.SPOT_WIDE: spots * sigma_tp > 1,
         Flag.TOTAL_AT_LIMIT: bool(plan.totals) & (totals >= 1).any(axis=1),
-        Flag.TOTAL_INCONSISTENT: np.abs(judged.pull) > MOST_PULL + pull,
+        Flag.TOTAL_INCONSISTENT: (np.abs(judged.pull) > MOST_PULL + pull) | (np.abs(table_pull) > MOST_PULL),
         Flag.TOTAL_UNKNOWN: np.isnan(totals).all(axis=1),
         Flag.WINDOW_SHORT: used.window[:, 1] * np.maximum(q, 0.0) * sigma_tp < 1,
     }  # fmt: skip

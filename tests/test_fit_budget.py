@@ -205,4 +205,4 @@ def test_sensitivity_is_what_a_fit_under_another_medium_finds(key: str, step: fl
     fit, moved = (channels["G"] for channels in fit_slices(slices, FitOptions(model="mc")))
     for name in ("sigma_a", "sigma_sp"):
         found = np.log(getattr(moved, f"{name}_per_mm") / getattr(fit, f"{name}_per_mm")) / step
-        assert fit.sensitivity[f"d_ln_{name}_d_{key}"] == pytest.approx(found, rel=0.05, abs=0.02)
+        assert fit.sensitivity[f"d_ln_{name}_d_{key}"] == pytest.approx(found, rel=0.05, abs=0.04)

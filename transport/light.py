@@ -83,6 +83,10 @@ class Light(Protocol):
         """π L/R over the whole surface."""
         ...
 
+    def first_by_side(self, e: Engine, q: Any, x: Any, mu: float) -> tuple[Any, Any]:
+        """What light scattered once owes to a camera's azimuth about an oblique beam; see `WhiteTable`."""
+        ...
+
     def shape_sd(self, e: Engine, q: Any, x: Any) -> Any:
         """Relative standard error of F by the model's own noise."""
         ...
@@ -138,6 +142,9 @@ class Dipole(NamedTuple):
 
     def total_radiance_factor(self, e: Engine, q: Any, mu: float) -> Any:
         return e.xp.zeros_like(q) + transmittance(np, self.eta, mu) / exit_norm(self.eta)
+
+    def first_by_side(self, e: Engine, q: Any, x: Any, mu: float) -> tuple[Any, Any]:
+        return 0 * x, 0 * x
 
     def shape_sd(self, e: Engine, q: Any, x: Any) -> Any:
         return e.xp.zeros_like(q * x)
@@ -262,25 +269,39 @@ class WhiteTable(NamedTuple):
         return value, value * (-1 - per_x * x), xp.sign(q) * value * (s_q / s - per_x * x * t_q / t)
 
     def _first_of_oblique(self, e: Engine, q: Any, x: Any, mu: float) -> Look:
-        """The same of an oblique beam, over the camera's azimuths ψ too: scattered after a path t, light leaves at
-        t V(ψ), V² = s² + 2 s c τ cos ψ + c² τ², s and c of the beam inside and τ the tangent of the camera's angle."""
+        """The same of an oblique beam, over the camera's azimuths about it too."""
+        turns = np.cos((np.arange(N_TURNS) + 0.5) * np.pi / N_TURNS).tolist()
+        parts = [self._first_towards(e, q, x, mu, turn) for turn in turns]
+        value, by_x, by_q = (sum(each) / N_TURNS for each in zip(*parts, strict=True))
+        return value, by_x, by_q
+
+    def _first_towards(self, e: Engine, q: Any, x: Any, mu: float, turn: float) -> Look:
+        """Of a camera at the azimuth ψ about the beam, turn = cos ψ: scattered after a path t, light leaves at t V,
+        V² = s² + 2 s c τ cos ψ + c² τ², s and c of the beam inside and τ the tangent of the camera's angle."""
         xp = e.xp
         aq = xp.maximum(xp.abs(q), SMALLEST_Q)
         s, s_q, t, t_q = self._scatter(aq)
         sine, beam = float(np.sqrt(1 - mu * mu)) / self.eta, self.sin_beam
         inside, down = float(np.sqrt(1 - sine * sine)), float(np.sqrt(1 - beam * beam))
-        value = by_x = by_q = 0.0
-        for turn in np.cos((np.arange(N_TURNS) + 0.5) * np.pi / N_TURNS).tolist():
-            tangent = down * sine / inside
-            reach = float(np.sqrt(beam * beam + 2 * beam * tangent * turn + tangent * tangent))
-            cos_theta = beam * sine * turn - down * inside
-            phase = (1 - self.g**2) / (4 * np.pi) * (1 + self.g**2 - 2 * self.g * cos_theta) ** -1.5
-            out = phase * transmittance(np, self.eta, mu) / (2 * self.eta**2 * inside * reach * N_TURNS)
-            per_x = t * (1 + down / inside) / reach
-            part = s * out * xp.exp(-per_x * x) / x
-            value, by_x = value + part, by_x + part * (-1 - per_x * x)
-            by_q = by_q + part * (s_q / s - per_x * x * t_q / t)
-        return value, by_x, xp.sign(q) * by_q
+        tangent = down * sine / inside
+        reach = max(float(np.sqrt(max(beam * beam + 2 * beam * tangent * turn + tangent * tangent, 0.0))), 1e-6)
+        cos_theta = beam * sine * turn - down * inside
+        phase = (1 - self.g**2) / (4 * np.pi) * (1 + self.g**2 - 2 * self.g * cos_theta) ** -1.5
+        out = phase * transmittance(np, self.eta, mu) / (2 * self.eta**2 * inside * reach)
+        per_x = t * (1 + down / inside) / reach
+        value = s * out * xp.exp(-per_x * x) / x
+        return value, value * (-1 - per_x * x), xp.sign(q) * value * (s_q / s - per_x * x * t_q / t)
+
+    def first_by_side(self, e: Engine, q: Any, x: Any, mu: float) -> tuple[Any, Any]:
+        """What light scattered once, a mean over places all around, owes to the camera's azimuth ψ about an oblique
+        beam, of all that is seen: by cos ψ, and what both sides in the beam's plane have more than the mean over ψ."""
+        if self.sin_beam == 0:
+            return 0 * x, 0 * x
+        xp = e.xp
+        ahead, behind = (self._first_towards(e, q, x, mu, turn)[0] for turn in (1.0, -1.0))
+        whole = self.radiance(e, q, x, mu, xp.zeros_like(x), xp.ones_like(x))[0]
+        mean = self._first_of_oblique(e, q, x, mu)[0]
+        return (ahead - behind) / 2 / whole, ((ahead + behind) / 2 - mean) / whole
 
     def total_radiance_factor(self, e: Engine, q: Any, mu: float) -> Any:
         u, _ = _u(e.xp, e.xp.maximum(e.xp.abs(q), SMALLEST_Q))
