@@ -12,7 +12,8 @@ from near_world import NearWorld
 from bssrdf.errors import InputError
 from bssrdf.rig.sim.light import light_key, seen_light
 from bssrdf.rig.sim.media import SampleMedium, published_sample, r_edges_mfp, sample_of, unit_medium
-from bssrdf.rig.sim.peel_off import peel_off
+from bssrdf.rig.sim.peel_off import PeeledMedium, peel_off
+from bssrdf.rig.sim.peel_off_lanes import BATCHES, peel_off_lanes
 from bssrdf.rig.sim.scpi_device import Scpi
 from bssrdf.rig.sim.serial_devices import Sc10, Uniblitz
 from bssrdf.rig.sim.walked_light import walked
@@ -127,6 +128,23 @@ def test_the_shipped_light_is_what_the_walk_gives() -> None:
     np.testing.assert_allclose(shipped.beyond[near], beyond[near], rtol=0.03)
     np.testing.assert_allclose(shipped.line_beyond[near], line_beyond[near], atol=0.01 * line_beyond[0])
     np.testing.assert_allclose(shipped.harmonics[0, near[:-1]], harmonics[0][:-1][near[:-1]], atol=0.03)
+
+
+@pytest.mark.parametrize("depth", [np.inf, 3.0])
+def test_lanes_send_the_camera_the_light_of_one_photon_after_the_other(depth: float) -> None:
+    """Forward scattering of an oblique beam, in a half space and in a slab on a back."""
+    medium, photons = PeeledMedium(0.95, 0.7, 1.4, float(np.sqrt(0.5)), 0.6, depth, 0.6), 4_000
+    lanes = peel_off_lanes(medium, 0.1, 4.0, (24, 8), photons=BATCHES * photons, seed=6, lanes=4096)
+    around, line = np.zeros((BATCHES, 24, 8)), np.zeros((BATCHES, 24))
+    for state, one, once in zip(stream_states(8, BATCHES), around, line, strict=True):
+        peel_off(photons, state, *medium, 0.1, 4.0, one, once)
+    for ours, theirs in zip(lanes, (around / photons, line / photons), strict=True):
+        sums = [each.reshape(BATCHES, 6, -1).sum(2) for each in (ours, theirs)]
+        sums = [np.concatenate([each, each.sum(1, keepdims=True)], axis=1) for each in sums]
+        apart = sums[0].mean(0) - sums[1].mean(0)
+        error = np.hypot(*(each.std(0, ddof=1) for each in sums)) / np.sqrt(BATCHES)
+        assert (np.abs(apart) < 4 * error + 1e-12).all()
+        assert error[-1] < 0.02 * sums[0].mean(0)[-1]
 
 
 def test_the_light_towards_the_camera_adds_up_to_the_exact_total() -> None:

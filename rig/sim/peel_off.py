@@ -7,6 +7,7 @@ own direction, at every point of the surface. Lengths in 1/σt.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
@@ -20,6 +21,18 @@ _ROULETTE_BELOW = 0.1
 _SURVIVORS_WEIGHT = 0.3
 _FAINT = 25.0
 """Optical depth below the surface from which nothing is scored: e⁻²⁵ of a collision's light."""
+
+
+class PeeledMedium(NamedTuple):
+    """What the light walks in, as `peel_off` takes it; lengths in 1/σt."""
+
+    albedo: float
+    g: float
+    eta: float
+    cos_outside: float
+    sin_beam: float
+    thickness: float
+    back: float
 
 
 @njit(nogil=True, cache=True)

@@ -12,7 +12,7 @@ from scipy.interpolate import make_lsq_spline
 from scipy.ndimage import median_filter
 
 from bssrdf.rig.sim.media import SampleMedium, r_edges_mfp
-from bssrdf.rig.sim.peel_off import peel_off
+from bssrdf.rig.sim.peel_off import PeeledMedium, peel_off
 from bssrdf.transport import MonteCarloMedium, run_all, simulate
 from bssrdf.transport.exit_radiance import angle_weights, transmittance
 from bssrdf.transport.photon import stream_states
@@ -54,13 +54,35 @@ def walked(
     their errors; where it goes is from the second. Of a beam at an angle the second tells all: the engine's is a mean
     over the directions of exit.
     """
-    entering = float(transmittance(unit.eta, np.array(np.cos(np.radians(incidence_deg)))))
     around, line = _towards_camera(unit, view_angle_deg, photons, seed, n_threads, incidence_deg)
     walks = [np.pi * around.sum(2)]
     if incidence_deg == 0:
         walks.append(_by_engine(unit, view_angle_deg, photons, seed, n_threads))
-    even = entering * _smooth(unit, *_combined(*walks))
-    return np.stack([beyond_of(even), beyond_of(np.pi * entering * line.mean(0)), *_harmonics_of(unit, around.mean(0))])
+    return _rows(unit, _combined(*walks), around.mean(0), line.mean(0), incidence_deg)
+
+
+def walked_in_lanes(unit: SampleMedium, view_angle_deg: float, photons: int, seed: int) -> Array:
+    """The same by the second walk alone, by JAX: for so many photons that it tells all there is, on a GPU."""
+    from bssrdf.rig.sim.peel_off_lanes import peel_off_lanes
+
+    medium, edges, bins_per_e_fold = _as_peeled(unit, view_angle_deg)
+    around, line = peel_off_lanes(
+        medium, edges[1], bins_per_e_fold, (edges.size - 1, _AZIMUTHS), photons=photons, seed=seed
+    )
+    return rows_of_lanes(unit, around.mean(0), np.pi * around.sum(2), line.mean(0))
+
+
+def rows_of_lanes(unit: SampleMedium, around: Array, rings: Array, line: Array) -> Array:
+    """`SeenLight` of a mean walk, π times whose light by ring and batch are `rings`."""
+    return _rows(unit, _mean_and_error(rings), around, line)
+
+
+def _rows(
+    unit: SampleMedium, rings: tuple[Array, Array], around: Array, line: Array, incidence_deg: float = 0.0
+) -> Array:
+    entering = float(transmittance(unit.eta, np.array(np.cos(np.radians(incidence_deg)))))
+    even, apart = entering * _smooth(unit, *rings), np.pi * entering * line
+    return np.stack([beyond_of(even), beyond_of(apart), *_harmonics_of(unit, around)])
 
 
 def _by_engine(unit: SampleMedium, view_angle_deg: float, photons: int, seed: int, n_threads: int | None) -> Array:
@@ -83,15 +105,8 @@ def _towards_camera(
     unit: SampleMedium, view_angle_deg: float, photons: int, seed: int, n_threads: int | None, incidence_deg: float
 ) -> tuple[Array, Array]:
     """`around` and `line` of `peel_off` per photon, by batch."""
-    sigma_s = unit.sigma_sp / (1 - unit.g)
-    sigma_t = sigma_s + unit.sigma_a
-    cos_view = float(np.cos(np.radians(view_angle_deg)))
-    edges = r_edges_mfp() * sigma_t
+    medium, edges, bins_per_e_fold = _as_peeled(unit, view_angle_deg, incidence_deg)
     n_r = edges.size - 1
-    bins_per_e_fold = (n_r - 1) / np.log(edges[-1] / edges[1])
-    depth = np.inf if unit.thickness_mm is None else unit.thickness_mm * sigma_t
-    sin_beam = float(np.sin(np.radians(incidence_deg)))
-    medium = (sigma_s / sigma_t, unit.g, unit.eta, cos_view, sin_beam, depth, unit.back)
 
     def batch(state: Any) -> tuple[Array, Array]:
         around, line = np.zeros((n_r, _AZIMUTHS)), np.zeros(n_r)
@@ -103,6 +118,19 @@ def _towards_camera(
     done, _ = run_all([functools.partial(batch, state) for state in states], threading.Event(), n_threads, None)
     around, line = (np.stack([part[kind] for part in done]) for kind in range(2))
     return around, line
+
+
+def _as_peeled(
+    unit: SampleMedium, view_angle_deg: float, incidence_deg: float = 0.0
+) -> tuple[PeeledMedium, Array, float]:
+    """Medium, edges of the rings and rings per e-fold as `peel_off` takes them, in 1/σt."""
+    sigma_s = unit.sigma_sp / (1 - unit.g)
+    sigma_t = sigma_s + unit.sigma_a
+    edges = r_edges_mfp() * sigma_t
+    depth = np.inf if unit.thickness_mm is None else unit.thickness_mm * sigma_t
+    cos_view, sin_beam = float(np.cos(np.radians(view_angle_deg))), float(np.sin(np.radians(incidence_deg)))
+    medium = PeeledMedium(sigma_s / sigma_t, unit.g, unit.eta, cos_view, sin_beam, depth, unit.back)
+    return medium, edges, float((edges.size - 2) / np.log(edges[-1] / edges[1]))
 
 
 def _combined(*walks: Array) -> tuple[Array, Array]:
