@@ -261,9 +261,12 @@ def _by_brightness(
     """Compare one colour of the last two frames, pixels beside saturated ones apart."""
     second = len(found.frames) - 1
     before, used = found.used.get(colour), np.zeros(chosen.size, np.int32)
+    every = np.flatnonzero(chosen)
+    first_beside, second_beside = (plane.ravel()[every] for plane in near)
+    shorter_, longer_ = (signal.ravel()[every].astype(float) for signal in signals)
     for beside_ in ((False, False), (False, True), (True, True)):
-        which = np.flatnonzero(chosen & (near[0] == beside_[0]) & (near[1] == beside_[1]))
-        x, y = (signal.ravel()[which].astype(float) for signal in signals)
+        here = (first_beside == beside_[0]) & (second_beside == beside_[1])
+        which, x, y = every[here], shorter_[here], longer_[here]
         for members, shorter, longer, log_var in compared(x, y, ratio, sensor):
             found.comparisons.append(Comparison(second - 1, second, colour, *beside_, shorter, longer, log_var))
             found.n_compared.append(len(members))

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from bssrdf.calib import BEND_PIVOT, Gain, Sensor, by_row, least_signal, pair_gain, rows_of, thinned
+from bssrdf.calib import BEND_PIVOT, Gain, Sensor, by_row, least_signal, pair_gain, rows_of
 from bssrdf.errors import InputError
 from bssrdf.measure.bracket import Bracket
 from bssrdf.measure.hdr import DarkPaired, Shot, read_ahead
@@ -22,8 +22,8 @@ _BELOW_SD, _MOST_BELOW = 20.0, 0.01
 _LEAST_FLUX_PIXELS = 100
 _MOST_GAIN_PIXELS = 500_000
 _STRIP_ROWS = 16
-_DARKEST = 1
-"""Percentile of a frame's pixels that are taken as its darkest."""
+_DARKEST, _SOME = 0.01, 100_000
+"""Share of a frame's pixels that are its darkest, and pixels that tell it."""
 _SPOT_PIXELS, _MOST_PIXELS = 1_000_000, 2_000_000
 """Of a large frame the rows of the beam's spot are compared, and strips of others: more tell nothing new."""
 
@@ -88,9 +88,10 @@ def levels_of(bracket: Bracket, sensor: Sensor) -> Iterator[Level]:
             rows = telling_rows(whole) if rows is None else rows
             sample = whole._replace(raw=whole.raw[rows], dark=whole.dark[rows])
             signal = np.subtract(sample.raw, sample.dark, dtype=np.float32)
-            _check_brighter_than_dark(shot, signal, float(np.sqrt(sensor.read_var_dn())))
+            some = signal.reshape(-1)[:: signal.size // _SOME | 1]  # all columns of a mosaic among them
+            floor, middle = np.nanquantile(some, (_DARKEST, 0.5)).tolist()
+            _check_brighter_than_dark(shot, some, middle, float(np.sqrt(sensor.read_var_dn())))
             if level is None or clear is None:
-                floor = float(np.nanpercentile(thinned(signal), _DARKEST))
                 level = Level(label_s, [], signal, floor, sample.raw, sample.n_darks, np.arange(len(whole.raw))[rows])
                 clear = sensor.unsaturated(sample.raw) & (signal > least_signal(sensor))
                 level.n_light = int(np.count_nonzero(clear))
@@ -135,11 +136,9 @@ def _gain_of_two(level: Level, other: NDArray[np.float32], good: NDArray[np.bool
     return pair_gain(first, second, sensor.read_var_dn()) if chosen.size else None
 
 
-def _check_brighter_than_dark(shot: Shot, signal: NDArray[np.float32], noise_dn: float) -> None:
-    thin = max(1, signal.shape[0] // 200)
-    some = signal[::thin]
+def _check_brighter_than_dark(shot: Shot, some: NDArray[np.float32], middle: float, noise_dn: float) -> None:
+    """InputError where pixels above their dark, or their median `middle`, lie far below it."""
     below = float(np.mean(some < -_BELOW_SD * noise_dn))
-    middle = float(np.nanmedian(some))
     if below > _MOST_BELOW and middle > -_DARKER_SD * noise_dn:
         raise InputError(
             f"{shot.name}: {100 * below:.2g} % of its pixels lie far below its dark; take it again (was the file cut?)"

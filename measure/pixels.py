@@ -89,7 +89,8 @@ class Grid:
         if not rows.size:
             return self.strip(0, 1).at((rows, columns))
         (top, bottom), (left, right) = ((int(each.min()), int(each.max()) + 1) for each in (rows, columns))
-        return self._window((top, bottom), (left, right)).at((rows - top, columns - left))
+        place = (rows - top) * (right - left) + columns - left
+        return Pixels(*(plane.ravel().take(place) for plane in self._window((top, bottom), (left, right))))
 
     def _window(self, *ends: tuple[int, int]) -> Pixels:
         """Rows and columns of the grid, each from and up to one."""

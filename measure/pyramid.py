@@ -110,6 +110,13 @@ class Pyramid:
         self.grid = grid
         self._kept = kept_levels(grid) if kept is None else kept
         self._top = n_levels(grid.shape)
+        self._all: tuple[tuple[float, float], Blocks] | None = None
+
+    def all_around(self, centre_px: tuple[float, float]) -> Blocks:
+        """Every pixel once: single, or in a block whose distance from `centre_px` is many of its sides."""
+        if self._all is None or self._all[0] != centre_px:
+            self._all = centre_px, self.around(centre_px)
+        return self._all[1]
 
     def around(
         self,
@@ -117,7 +124,7 @@ class Pyramid:
         keep: Callable[[Array, Array, float], NDArray[np.bool_]] | None = None,
         most: float = np.inf,
     ) -> Blocks:
-        """Every pixel once: single, or in a block whose distance from `centre_px` is many of its sides.
+        """The same, each time anew, of those that are needed.
 
         `keep` says of block centres x, y and a side [px] which blocks may hold pixels that are needed; `most` is the
         largest side [px].

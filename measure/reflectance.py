@@ -191,7 +191,7 @@ def light_by_count(image: Image, channel: str) -> Array:
 
 def blocks_of(image: Image, channel: str, spot: Spot) -> Blocks:
     """Every pixel of the channel once, in blocks that grow with the distance from the spot."""
-    parts = [pyramid.around((spot.x_px, spot.y_px)) for pyramid in image.pyramids[channel]]
+    parts = [pyramid.all_around((spot.x_px, spot.y_px)) for pyramid in image.pyramids[channel]]
     return Blocks(*(np.concatenate(fields) for fields in zip(*parts, strict=True)))
 
 
