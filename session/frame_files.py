@@ -13,7 +13,6 @@ from bssrdf.errors import InputError
 from bssrdf.session.file_kind import check_content
 from bssrdf.session.raw_file import RAW_SUFFIXES, read_raw
 from bssrdf.session.raw_frame import RawFrame, without_alpha
-from bssrdf.session.records import Card
 
 _TIFF, _PNM, _FITS = (".tif", ".tiff", ".btf", ".ome"), (".pgm", ".ppm", ".pnm", ".pfm"), (".fits", ".fit", ".fts")
 _FLOAT = (".exr", ".hdr")
@@ -95,7 +94,7 @@ def _read(path: Path, *, encoded: bool, pixels: bool) -> Iterable[RawFrame]:
 def _read_encoded(path: Path, encoded: bool) -> RawFrame:
     """A frame for the fit of a response curve."""
     from bssrdf.session.oiio_file import read_image
-    from bssrdf.session.raw_frame import exposure_of_tags, label
+    from bssrdf.session.raw_frame import card_of_attributes, exposure_of_tags
 
     if not encoded:
         raise InputError(
@@ -107,12 +106,5 @@ def _read_encoded(path: Path, encoded: bool) -> RawFrame:
     data = data[:, :, 0] if data.shape[2] == 1 else data
     if data.ndim == 3 and data.shape[2] != 3:
         raise InputError(f"{path}: has {data.shape[2]} channels; save one (mosaic or mono) or three (RGB)")
-    height, width = data.shape[:2]
-    card = Card(
-        camera=label(image.attributes.get("Model")),
-        layout="rgb" if data.ndim == 3 else None,
-        bits=8 * data.dtype.itemsize,
-        width_px=width,
-        height_px=height,
-    )
+    card = replace(card_of_attributes(data, image.attributes), bits=8 * data.dtype.itemsize)
     return RawFrame(data, card, exposure_of_tags(image.attributes))

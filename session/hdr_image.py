@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 from bssrdf.errors import InputError
 from bssrdf.session.atomic import atomic_write
 from bssrdf.session.checks import shown
-from bssrdf.session.raw_frame import RawFrame, exposure_of_tags, label, positive, real
-from bssrdf.session.records import Card
+from bssrdf.session.raw_frame import RawFrame, card_of_attributes, exposure_of_tags, positive, real
 
 if TYPE_CHECKING:
     from bssrdf.session.oiio_file import StoredImage
@@ -79,15 +78,7 @@ def _layers(image: StoredImage) -> dict[str, Plane]:
 
 
 def _frame(data: NDArray[Any], tags: dict[str, Any]) -> RawFrame:
-    card = Card(
-        camera=label(tags.get("Model")),
-        iso=positive(real(tags.get("Exif:PhotographicSensitivity"))),
-        f_number=positive(real(tags.get("FNumber"))),
-        layout="rgb" if data.ndim == 3 else None,
-        width_px=data.shape[1],
-        height_px=data.shape[0],
-    )
-    return RawFrame(data, card, exposure_of_tags(tags))
+    return RawFrame(data, card_of_attributes(data, tags), exposure_of_tags(tags))
 
 
 def _read_radiance(path: Path) -> RawFrame:

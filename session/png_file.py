@@ -5,11 +5,11 @@ from __future__ import annotations
 import struct
 import zlib
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 from bssrdf.errors import InputError
-from bssrdf.session.raw_frame import RawFrame, without_alpha
-from bssrdf.session.records import Card
+from bssrdf.session.raw_frame import RawFrame, card_of_attributes, exposure_of_tags, without_alpha
 from bssrdf.session.tone_curve import check_profile
 
 _SIGNATURE = b"\x89PNG\r\n\x1a\n"
@@ -32,9 +32,8 @@ def read_png(path: Path) -> list[RawFrame]:
     _check_linear(path, chunks)
     data = without_alpha(path, image.data) if image.data.shape[2] in (2, 4) else image.data
     data = data[:, :, 0] if data.shape[2] == 1 else data
-    significant = chunks.get(b"sBIT", b"\x10")[0]
-    layout = "rgb" if data.ndim == 3 else None
-    return [RawFrame(data, Card(layout=layout, bits=significant, width_px=data.shape[1], height_px=data.shape[0]))]
+    card = replace(card_of_attributes(data, image.attributes), bits=chunks.get(b"sBIT", b"\x10")[0])
+    return [RawFrame(data, card, exposure_of_tags(image.attributes))]
 
 
 def is_deep(path: Path) -> bool:

@@ -89,6 +89,18 @@ def card_of_tags(tags: Tags) -> Card:
     )
 
 
+def card_of_attributes(data: NDArray[Any], attributes: Tags) -> Card:
+    """The same as OpenImageIO names it, and what the picture itself shows: its size, and whether it has colours."""
+    return Card(
+        camera=label(attributes.get("Model")),
+        iso=positive(real(attributes.get("Exif:PhotographicSensitivity"))),
+        f_number=positive(real(attributes.get("FNumber"))),
+        layout="rgb" if data.ndim == 3 else None,
+        width_px=data.shape[1],
+        height_px=data.shape[0],
+    )
+
+
 def exposure_of_tags(tags: Tags) -> float | None:
     """ExposureTime [s]."""
     return positive(real(tags.get("ExposureTime")))

@@ -248,6 +248,13 @@ def test_tiff_tells_exposure_iso_and_lens(tmp_path: Path) -> None:
     assert frame.utc == "2024-01-02T03:04:05+02:00"
 
 
+def test_png_tells_exposure(tmp_path: Path) -> None:
+    to_exif = b"MM\0*" + struct.pack(">IHHHIII", 8, 1, 34665, 4, 1, 26, 0)
+    exif = struct.pack(">HHHIII", 1, 33434, 5, 1, 44, 0) + struct.pack(">II", 1, 250)
+    png(tmp_path / "a.png", (b"eXIf", to_exif + exif))
+    assert read_frame_file(tmp_path / "a.png").exposure_s == 0.004
+
+
 @pytest.mark.parametrize(("x", "y"), [(3, 2), (-4, -1), (0, 0)])
 def test_data_window_is_put_in_its_place(tmp_path: Path, x: int, y: int) -> None:
     window = {"x": x + 5, "y": y + 7, "full_x": 5, "full_y": 7, "full_width": 20, "full_height": 15}
