@@ -37,6 +37,8 @@ class Effort:
 
     pixels: int = 64
     runs: int = 4
+    warm: int = 1
+    """Runs before those, for compilation."""
     samples: int = 16
     """Per pixel and run, of all but volpath."""
     mc_samples: int = 4
@@ -47,7 +49,7 @@ class Effort:
     scenes: tuple[str, ...] | None = None
 
 
-QUICK = Effort(16, 2, 4, 2, 0.5, 40, ("Marble",), ("sky", "edge", "furnace", "ball 1, matched"))
+QUICK = Effort(12, 2, 0, 4, 2, 0.5, 40, ("Skin1",), ("edge", "furnace", "ball 1, matched"))
 
 
 def run_render_bench(
@@ -75,12 +77,12 @@ def measure(case: RenderCase, effort: Effort) -> CaseResult:
     images: dict[str, list[Floats]] = {method: [] for method in case.methods}
     prepare_s: dict[str, list[float]] = {method: [] for method in case.methods}
     draw_s: dict[str, list[float]] = {method: [] for method in case.methods}
-    for run in range(effort.runs + 1):
+    for run in range(effort.runs + effort.warm):
         for method in case.methods:
             stage, prepared = _prepared(case, method, effort, run)
             began = time.process_time()
             image = _image(stage, _samples(method, effort), run)
-            if run > 0:  # the first compiles
+            if run >= effort.warm:
                 images[method].append(image)
                 prepare_s[method].append(prepared)
                 draw_s[method].append(time.process_time() - began)

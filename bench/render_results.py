@@ -65,27 +65,32 @@ class CaseResult:
 def table(results: list[CaseResult]) -> str:
     """A line a case and method; under it what is known of rendered truths."""
     lines = [
-        "| scene | material | method | prepare | draw | noise | volpath costs | over truth: R G B | ± | bias² |",
-        "|---|---|---|--:|--:|--:|--:|--:|--:|--:|",
+        "| scene | material | method | prepare | draw | noise | volpath costs | brdf costs | over truth: R G B | ± | "
+        "bias² |",
+        "|---|---|---|--:|--:|--:|--:|--:|--:|--:|--:|",
     ]
     for result in results:
         lines += [_line(row, result) for row in result.rows]
     lines += [
         "",
-        "CPU seconds; noise of a run's pixels on bodies; volpath's variance × time over the method's; bias² is relMSE "
-        "of tiles without the noise.",
+        "CPU seconds; noise of a run's pixels on bodies; variance × time of volpath and of brdf over the method's; "
+        "bias² is relMSE of tiles without the noise.",
     ]
     return "\n".join([*lines, *(_note(result) for result in results if result.rendered)])
 
 
 def _line(row: ResultRow, result: CaseResult) -> str:
-    volpath = [other.cost for other in result.rows if other.method == REFERENCE]
-    costs = f"{volpath[0] / row.cost:.3g} ×" if volpath and row.cost > 0 else ""
     return (
         f"| {row.scene} | {row.material} | {row.method} | {row.prepare_s:.2f} | {row.draw_s:.2f} "
-        f"| {math.sqrt(row.variance):.1%} | {costs} | {_numbers(row.ratio, '.4f')} | {max(row.ratio_se):.4f} "
-        f"| {row.rel_mse_bias:.2g} |"
+        f"| {math.sqrt(row.variance):.1%} | {_costs(REFERENCE, row, result)} | {_costs('brdf', row, result)} "
+        f"| {_numbers(row.ratio, '.4f')} | {max(row.ratio_se):.4f} | {row.rel_mse_bias:.2g} |"
     )
+
+
+def _costs(method: str, row: ResultRow, result: CaseResult) -> str:
+    """Its variance × time over the row's."""
+    known = [other.cost for other in result.rows if other.method == method]
+    return f"{known[0] / row.cost:.3g} ×" if known and row.cost > 0 else ""
 
 
 def _note(result: CaseResult) -> str:

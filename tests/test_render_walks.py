@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
+from typing import Any
 
 import numpy as np
 import pytest
@@ -100,7 +102,12 @@ def test_a_white_body_in_even_light_sends_out_all_that_enters(eta: float, g: flo
     assert np.all(error < 2e-3)
 
 
-@pytest.mark.parametrize("name", BALLS)
+def quickest(*names: str, of: Iterable[str]) -> list[Any]:
+    """All of them, only those named in a short run of the tests."""
+    return [name if name in names else pytest.param(name, marks=pytest.mark.slow) for name in of]
+
+
+@pytest.mark.parametrize("name", quickest("skin1R_g0.85_ball3", "marbleG_ball1", of=BALLS))
 def test_walks_in_a_ball_in_a_beam_agree_with_a_literal_walk(name: str) -> None:
     medium, (known, error) = BALLS[name], read(name)[:2]
     surface, inside, entered = in_a_beam(medium)
@@ -117,7 +124,7 @@ def test_walks_in_a_ball_in_a_beam_agree_with_a_literal_walk(name: str) -> None:
     assert np.all(np.abs(mean - known)[lit] < (0.07 if matched else 0.04) * known[lit] + 3 * np.hypot(se, error)[lit])
 
 
-@pytest.mark.parametrize("name", ["skin1R_ball3", "skin1R_g0.85_ball3", "matched_ball3"])
+@pytest.mark.parametrize("name", quickest("matched_ball3", of=("skin1R_ball3", "skin1R_g0.85_ball3", "matched_ball3")))
 def test_light_along_a_view_is_that_of_a_literal_walk(name: str) -> None:
     """The intensity in directions across the beam and back towards it: the sum of radiance times area seen."""
     medium, (known, error) = BALLS[name], read(name)[2:]
@@ -160,7 +167,7 @@ def test_leaps_end_walks_as_every_step_does(monkeypatch: pytest.MonkeyPatch) -> 
     surface = ball(15.0)
     inside = Inside(np.array([0.01, 0.05, 0.2]), np.ones(3), 1.3, 0.5)
     entered = in_beam(surface, 1.3)
-    places, normals = (part[::16] for part in centres(surface))
+    places, normals = (part[::32] for part in centres(surface))
     found = []
     for first in (leap.RADII[0], 1e6):
         monkeypatch.setattr(walk, "RADII", leap.RADII * (first / leap.RADII[0]))
@@ -168,7 +175,7 @@ def test_leaps_end_walks_as_every_step_does(monkeypatch: pytest.MonkeyPatch) -> 
         found.append((each.mean.mean(axis=0), np.sqrt(each.variance.sum(axis=0)) / len(places)))
     (leapt, error), (stepped, other) = found
     assert np.all(np.abs(leapt - stepped) < 3.5 * np.hypot(error, other))
-    assert np.all(error < 0.02 * leapt)
+    assert np.all(error < 0.03 * leapt)
 
 
 def test_an_evenly_lit_white_ball_is_mended_to_its_light_from_any_error() -> None:

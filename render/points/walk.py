@@ -22,6 +22,8 @@ from bssrdf.render.points.record import BodySurface, Entered, Floats
 
 LEAST = 0.1
 """Throughput below which Russian roulette decides whether a walk goes on."""
+_LOOKS = 0.3
+"""Throughput down to which scatterings look for a beam: those after it bring little, and looking is half their time."""
 _GAP = 1e-5
 """Of the body's size: how far inside the surface a ray starts, in single precision."""
 _LANES = 1 << 16
@@ -232,7 +234,7 @@ class _Body:
         """Take the light that arrives unscattered by a beam, and tell the share of one met along `ahead`."""
         index, known, _ = self._cell(walk.o, active)
         guide = self._entry.towards(index, known)
-        known &= dr.squared_norm(guide) > 0
+        known &= (dr.squared_norm(guide) > 0) & (walk.throughput > _LOOKS)
         frame = mi.Frame3f(guide)
         local = mi.warp.square_to_von_mises_fisher(sampler.next_2d(active), CONCENTRATION)
         toward = mi.Vector3f(frame.to_world(local))
