@@ -6,7 +6,8 @@
   [1/scene unit], or `reflectance` (R of the Monte Carlo table) and `mean_free_path` (1/σt′) in their place, each a
   number, a colour or a texture; `scale` multiplies both sigmas; `g`; `alpha` for GGX slopes; `bump` (a texture of
   displacements) with `bump_scale`.
-  All shapes that share one such BSDF are one body. To Mitsuba's own integrators it is a Lambertian surface.
+  Open shapes that share one such BSDF are one body, a closed one is by itself. To Mitsuba's own integrators it is a
+  Lambertian surface.
 - Integrator `bssrdf`: finds the light under all surfaces before it draws (`bssrdf.render.points`). `kernel` ("table" or
   "dipole"), `method` ("points" or "walks"), `light_samples`, `walks`, `seed`; `terms` ("diffusion,single,specular") and
   `paper` (the exit lobe as printed) with the dipole; `max_depth`, `rr_depth`, `hide_emitters`.

@@ -183,7 +183,7 @@ def test_an_evenly_lit_white_ball_is_mended_to_its_light_from_any_error() -> Non
     white = Inside(np.full(3, 1e-9), np.array([1.0, 1.2, 1.5]), 1.3)
     even = np.ones((len(surface.vertices), 3))
     dark = 0.8 * even * (1 + 0.1 * surface.normals[:, :1])
-    light = mended(surface, evenly(surface, white.eta, even), white, dark, None, diffuse, walks=16)
+    light = mended(surface, evenly(surface, white.eta, even), white, dark, None, diffuse, walks=32)
     np.testing.assert_allclose(light, 1, rtol=0.05)
     assert np.std(light) < 0.015
     assert np.average(light, axis=0, weights=surface.areas()) == pytest.approx([1, 1, 1], rel=3e-3)

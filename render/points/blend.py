@@ -35,6 +35,8 @@ _BENT = 3e-4
 neighbourhood has 0.027 or more. Points miss two mean free paths over the radius, there a tenth of what they miss."""
 _BETWEEN = 4
 """Places that a vertex lies between."""
+_MOST_LOST = 0.1
+"""Of what is added, by means over neighbourhoods: on a white cube of three mean free paths 0.7 %."""
 _GRAZING = 0.05
 """Cosine to the viewer below which a place counts as unseen: little is transmitted there."""
 _UNSEEN = 4
@@ -78,7 +80,15 @@ def mended(
     light = _tinted(around, found, flat, flat + _quiet(around, found, flat, spacing), spacing)
     missing[rows] = bent[rows, None] * (light - flat)
     between = _Near(places, normals, surface.vertices, surface.normals, _BETWEEN)
-    return np.maximum(exitance + between.mean(missing, spacing / 2), 0)
+    change, areas = between.mean(missing, spacing / 2), surface.areas()
+    asked = between.nearest_sum(areas)[rows] * bent[rows] @ (found.mean - flat)
+    return np.maximum(exitance + change * _kept(asked, areas @ change), 0)
+
+
+def _kept(asked: Floats, given: Floats) -> Floats:
+    """By channel, what brings the light that was added in all to that which walks ask for: means take from edges."""
+    ratio = np.divide(asked, given, out=np.ones_like(asked), where=given != 0)
+    return np.clip(ratio, 1 - _MOST_LOST, 1 + _MOST_LOST)
 
 
 def _found(
@@ -174,6 +184,10 @@ class _Near:
         self._apart, self._near = cKDTree(places).query(at, range(1, min(most, len(places)) + 1))
         self._cosines = np.einsum("ijk,ik->ij", normals[self._near], facing)
         self._aligned = np.maximum(self._cosines, 1e-6)
+
+    def nearest_sum(self, values: Floats) -> Floats:
+        """Of values (k,) over what each place is nearest to, (places,)."""
+        return np.asarray(np.bincount(self._near[:, 0], values, self._places))
 
     def bend(self) -> Floats:
         """Mean of 1 less the cosine between the normals, (k,): 0 on a plane, 2 where a thin part's other side is."""

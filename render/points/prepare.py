@@ -17,6 +17,7 @@ from bssrdf.render.mesh_file import mitsuba_mesh, openings
 from bssrdf.render.paths import EXITANCE, Settings, Tracer
 from bssrdf.render.points.blend import Viewer, mended
 from bssrdf.render.points.enter import Arrived, arrive
+from bssrdf.render.points.exchange import drawn_in, exchanges, settle
 from bssrdf.render.points.fineness import spots_on, target_edge, viewer_of
 from bssrdf.render.points.gather import gather
 from bssrdf.render.points.mirrored import mirrored
@@ -49,15 +50,23 @@ def prepare(scene: Any, sensor: Any | None, settings: Settings, plan: LightPlan,
     finer = _rebuilt(scene, media.shapes, meshes)
     inner = replace(settings, local=True, max_depth=Settings.max_depth, hide_emitters=False, mirrors_apart=True)
     first = Tracer(finer, inner)
-    bodies = []
     by_mirror = mirrored(first, meshes, surfaces, plan.seed)
-    for number, (shape, mesh, surface) in enumerate(zip(media.shapes, meshes, surfaces, strict=True)):
-        if progress is not None:
-            progress(f"light into {shape.id()}", number, len(meshes))
-        arrived = arrive(first, mesh, surface, plan.light_samples, plan.seed) + by_mirror[number]
-        bodies.append(_LitBody(shape.id(), mesh, surface, arrived))
-    for body in bodies:
-        _leave(first.media, body, bodies, viewer_of(sensor), plan)
+
+    def lit(tracer: Tracer, what: str) -> list[_LitBody]:
+        found = []
+        for number, (shape, mesh, surface) in enumerate(zip(media.shapes, meshes, surfaces, strict=True)):
+            if progress is not None:
+                progress(f"light into {shape.id()}{what}", number, len(meshes))
+            arrived = arrive(tracer, mesh, surface, plan.light_samples, plan.seed) + by_mirror[number]
+            found.append(_LitBody(shape.id(), mesh, surface, arrived))
+        for body in found:
+            _leave(tracer.media, body, found, viewer_of(sensor), plan)
+        return found
+
+    bodies = lit(first, "")
+    if settings.kernel == "table" and exchanges(first, meshes):
+        again = Tracer(finer, replace(inner, local=False))
+        settle(bodies, lambda number: lit(again, f", from bodies, {number}"))
     return Prepared(scene, finer, Tracer(finer, settings))
 
 
@@ -77,7 +86,8 @@ def _refined(scene: Any, shape: Any, media: Media, sensor: Any | None, plan: Lig
     decay = np.sqrt(3 * (1 - optics.albedo)) * optics.sigma_tp
     fall = float(1 / np.maximum(decay.mean(), 1e-30))
     target = target_edge(path, fall, sensor, spots_on(scene, shape.bsdf()), plan)
-    return _ordered(refine(surface, target, min(plan.most, _free_bytes() // _BYTES), shape.id()))
+    surface = _ordered(refine(surface, target, min(plan.most, _free_bytes() // _BYTES), shape.id()))
+    return drawn_in(surface) if is_closed(surface) else surface
 
 
 def _free_bytes() -> int:
@@ -135,14 +145,24 @@ def _rebuilt(scene: Any, shapes: list[Any], meshes: list[Any]) -> Any:
 
 
 def _leave(media: Media, body: _LitBody, bodies: list[_LitBody], viewer: Viewer | None, plan: LightPlan) -> None:
-    """Sum the light of all shapes that share the body's surface, and put what leaves on its vertices."""
-    same = [other for other in bodies if other.mesh.bsdf() == body.mesh.bsdf()]
+    """Sum the light of all shapes that are one body with it, and put what leaves on its vertices."""
+    same = _of_one_body(body, bodies)
     optics = _optics(media, body.mesh, body.surface)
     exitance = _by_points(media, body, same, optics, plan)
     if plan.method == "walks":
-        exitance = _by_walks(media, body, same, optics, exitance, viewer, plan)
+        exitance = _by_walks(media, body, optics, exitance, viewer, plan)
     over = _between_vertices(body.surface, exitance / np.maximum(optics.total, 1e-30)).astype(np.float32)
+    if body.mesh.has_attribute(EXITANCE):
+        body.mesh.remove_attribute(EXITANCE)
     body.mesh.add_attribute(EXITANCE, over.shape[1], mi.Float(over.ravel()))
+
+
+def _of_one_body(body: _LitBody, bodies: list[_LitBody]) -> list[_LitBody]:
+    """A closed shape is a body by itself, open ones that share a surface are one: the sides of a box, say."""
+    if is_closed(body.surface):
+        return [body]
+    alike = [other for other in bodies if other.mesh.bsdf() == body.mesh.bsdf()]
+    return [other for other in alike if not is_closed(other.surface)]
 
 
 def _between_vertices(surface: BodySurface, values: Floats) -> Floats:
@@ -187,7 +207,6 @@ def _row(media: Media, body: _LitBody) -> int:
 def _by_walks(
     media: Media,
     body: _LitBody,
-    same: list[_LitBody],
     optics: _Coefficients,
     exitance: Floats,
     viewer: Viewer | None,
@@ -195,8 +214,8 @@ def _by_walks(
 ) -> Floats:
     """What points find, mended; where a body is open or its coefficients vary, it is left as it is."""
     surface = media.surfaces[_row(media, body)]
-    if surface.textured or len(same) > 1 or not is_closed(body.surface):
-        what = "varies over its surface" if surface.textured else "is open or of several shapes"
+    if surface.textured or not is_closed(body.surface):
+        what = "varies over its surface" if surface.textured else "is open"
         warnings.warn(f'shape "{body.name}" {what}: its light is that of points on a half space', stacklevel=2)
         return exitance
     sigma_tp = optics.sigma_tp[0]
