@@ -68,9 +68,13 @@ def radius_on_tile(
     reach = _REACH * core_radius + max(footprint)
     r, weights = _within_pixels(across, along, footprint)
 
+    @lru_cache(maxsize=4)
+    def image(log_radius: float, log_mfp: float) -> Array:
+        curve = spot_image(float(np.exp(log_radius)), float(np.exp(log_mfp)), reach, view_angle_deg)
+        return np.asarray(weights @ np.exp(curve(r)))
+
     def residual(p: Array) -> Array:
-        curve = spot_image(float(np.exp(p[0])), float(np.exp(p[1])), reach, view_angle_deg)
-        model = np.exp(p[2]) * (weights @ np.exp(curve(r)))
+        model = np.exp(p[2]) * image(*p[:2].tolist())
         return (value - model) / np.sqrt(variance[near] + (shape_sd * model) ** 2)
 
     amplitude = np.log(value.max() * core_radius**2)

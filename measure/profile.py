@@ -150,9 +150,9 @@ def _sums(x: Array, members: Members) -> Array:
 
 def _medians(values: Array, members: Members) -> Array:
     """The median of each bin's values; 0 of an empty one's."""
-    medians, last = np.zeros(len(members)), np.cumsum(members)
+    medians, last, single = np.zeros(len(members)), np.cumsum(members), values.astype(np.float32)
     for at in np.flatnonzero(members):
-        own, middle = values[last[at] - members[at] : last[at]].copy(), members[at] // 2
+        own, middle = single[last[at] - members[at] : last[at]].copy(), members[at] // 2
         own.partition(middle)
         medians[at] = own[middle] if members[at] % 2 else (own[middle] + own[:middle].max()) / 2
     return medians

@@ -296,10 +296,15 @@ def fit_tail(
     high = np.array([20.0, np.log(30 / reach), np.log(reach), 1.0])[:n]
     start = np.array([0.0, np.log(1 / reach), np.log(0.05 * reach), 0.0])[:n]
 
+    @functools.lru_cache(maxsize=4)
+    def shape_of(log_sigma_tr: float, log_mfp: float) -> Array:
+        """Over its first value."""
+        shape = unit(np.array([0.0, log_sigma_tr, log_mfp, 0.0])).shape(r)
+        return np.asarray(shape / shape[0])
+
     def residual(p: Array) -> Array:
-        tail = unit(p)
-        shape = tail.shape(r)
-        by_curve = (np.exp(p[0]) * first / shape[0] * shape + tail.floor - value) / sd
+        floor = below + float(p[3]) * first if with_floor else 0.0
+        by_curve = (np.exp(p[0]) * first * shape_of(*p[1:3].tolist()) + floor - value) / sd
         if attenuation is None:
             return by_curve
         return np.append(by_curve, (p[1] + p[2] - np.log(attenuation(float(np.exp(p[2]))))) / attenuation_rel_sd)
