@@ -73,8 +73,8 @@ def fit_slices(
     """Fit every channel of every slice.
 
     Returns, in order, a `ChannelFit` by channel for each slice. A fit that fails says so in its `status` and `flags`;
-    raises InputError where the options ask for what a slice does not hold. `making` is told of a table that has to be
-    made first.
+    raises InputError where the options ask for what a slice does not hold, or a channel has no radius. `making` is
+    told of a table that has to be made first.
     """
     jobs = [Job((piece,), channel) for piece in slices for channel in piece.channels]
     fits = iter(_fit_jobs(jobs, options, making))
@@ -110,6 +110,8 @@ def fit_joint(
 
 @np.errstate(over="ignore", divide="ignore", invalid="ignore")  # what is not finite is found in the result
 def _fit_jobs(jobs: Sequence[Job], options: FitOptions, making: Making) -> list[ChannelFit]:
+    if bare := {job.channel for job in jobs if not all(p.channels[job.channel].r_mm.size for p in job.pieces)}:
+        raise InputError(f"channel {', '.join(sorted(bare))} of a slice has no radius: give R_d at five at least")
     fits: dict[int, ChannelFit] = {}
     for places, fitted in batches(jobs, options, making):
         fits |= dict(zip(places, channel_fits(fitted, extra_of(fitted, making)), strict=True))

@@ -13,7 +13,9 @@ from builders import changed, model_light, model_slice, slice_of, with_rd
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from bssrdf.errors import InputError
 from bssrdf.fit.run import FitOptions, fit_slices
+from bssrdf.fit.terms import solved
 from bssrdf.session.records import ChannelFit, ChannelSlice, Slice
 from bssrdf.transport.forward import DipoleModel
 from bssrdf.transport.white.store import table_model
@@ -256,3 +258,19 @@ def test_no_curve_gives_a_traceback_or_a_silent_nan(
         assert np.all(np.isfinite(numbers)) or fit.status in ("failed", "unidentifiable", "rejected")
         for lo, hi in (fit.sigma_a_interval95_per_mm, fit.sigma_sp_interval95_per_mm):
             assert lo <= hi or fit.status in ("failed", "unidentifiable", "rejected")
+
+
+def test_shared_errors_are_found_beside_weights_that_drown_their_priors() -> None:
+    """Far out light falls to 1e-20 of its sd, and 1e40 + 1 is 1e40: plainly solved, the priors would be gone."""
+    response = np.array([[1.0, 2.0, -1.0, 0.5]])
+    matrix = 1e40 * response[:, :, None] * response[:, None, :] + np.eye(4)
+    right = 3e40 * response[:, :, None]
+    with pytest.raises(np.linalg.LinAlgError):
+        np.linalg.solve(matrix, right)
+    assert (response @ solved(np, matrix, right)[0])[0, 0] == pytest.approx(3, rel=1e-9)
+
+
+def test_a_channel_without_a_radius_is_refused() -> None:
+    none = np.zeros(0)
+    with pytest.raises(InputError, match="channel G of a slice has no radius"):
+        fit_slices([replace(light("skin"), channels={"G": ChannelSlice(none, none, none)})])
