@@ -11,6 +11,7 @@ if TYPE_CHECKING:
     from bssrdf.transport.discrete_ordinates import half_space as half_space
     from bssrdf.transport.discrete_ordinates import half_spaces as half_spaces
     from bssrdf.transport.engine import MIN_BATCHES as MIN_BATCHES
+    from bssrdf.transport.engine import IncidentBeam as IncidentBeam
     from bssrdf.transport.engine import MonteCarloMedium as MonteCarloMedium
     from bssrdf.transport.engine import simulate as simulate
     from bssrdf.transport.exit_azimuth import second_harmonic as second_harmonic
