@@ -34,17 +34,17 @@ STEPS = 6e7
 KEYS = ("sigma_sp", "sigma_a")
 
 
-class Case(NamedTuple):
+class Unspoilt(NamedTuple):
     """A medium's slice without a fault, and with the light of a wide spot."""
 
     honest: Slice
     spotted: Slice
 
 
-def _times(curve: float = 1.0, r: float = 1.0, sd: float = 1.0, floor: float = 0.0) -> Callable[[Case], Slice]:
+def _times(curve: float = 1.0, r: float = 1.0, sd: float = 1.0, floor: float = 0.0) -> Callable[[Unspoilt], Slice]:
     """R alone stays as it was."""
 
-    def made(case: Case) -> Slice:
+    def made(case: Unspoilt) -> Slice:
         c = case.honest.channels["G"]
         assert c.r_lo_mm is not None
         assert c.r_hi_mm is not None
@@ -55,7 +55,7 @@ def _times(curve: float = 1.0, r: float = 1.0, sd: float = 1.0, floor: float = 0
     return made
 
 
-FAULTS: dict[str, Callable[[Case], Slice]] = {
+FAULTS: dict[str, Callable[[Unspoilt], Slice]] = {
     **{f"curve x {factor:g}": _times(curve=factor) for factor in (1.05, 1.1, 1.5, 3.0, 10.0)},
     "radii in cm": _times(r=0.1),
     "g 0.3 off": lambda case: replace(case.honest, g=(case.honest.g or 0.0) - 0.3),
@@ -67,7 +67,7 @@ FAULTS: dict[str, Callable[[Case], Slice]] = {
 }
 
 
-def case_of(medium: SampleMedium, seed: int) -> Case:
+def case_of(medium: SampleMedium, seed: int) -> Unspoilt:
     """The slices of a medium, walked."""
     rng = np.random.default_rng(seed)
     sigma_tp = medium.sigma_a + medium.sigma_sp
@@ -98,7 +98,7 @@ def case_of(medium: SampleMedium, seed: int) -> Case:
             mm_rel_sd=0.0,
         )
 
-    return Case(slice_of(0.0), slice_of(SPOT_MFP / sigma_tp))
+    return Unspoilt(slice_of(0.0), slice_of(SPOT_MFP / sigma_tp))
 
 
 def holds(found: ChannelFit, medium: SampleMedium) -> bool:
