@@ -25,7 +25,8 @@ from bssrdf.session.records import Beam, Camera, Frame, Geometry, Material, Refe
 
 BENCH = replace(scene(), spot_radius_mm=3.0)
 R, TILE = (BENCH.radiance_factors(sample)[0] for sample in (BENCH.sample, BENCH.tile))
-REPEATS = 8
+REPEATS, REPEATS_OF_FAINT_LIGHT = 8, 40
+"""The latter by 8 bits where no exposure clips: the light around the spot then lies below a step."""
 FULL_WELL_E = 1.6e6
 NOISE_STEPS = 0.6
 """Read noise: enough to tell what lies between two steps."""
@@ -53,9 +54,10 @@ def write(path: Path, bits: int, align: str, apart: float, is_clipped: bool) -> 
     limits = sensor.black_dn + (span * (1 - apart * np.array([0, 0.5, 1]))).astype(int)
     full_s = span * sensor.gain_e_per_dn / max(light.max() for light in currents.values())
     steps = 4.0 ** np.arange(7) / 2 if is_clipped else 0.93 * (1 - apart) / 4.0 ** np.arange(3)
+    repeats = REPEATS_OF_FAINT_LIGHT if bits == 8 and not is_clipped else REPEATS
     frames = []
     (path / "frames").mkdir(parents=True)
-    for kind, step, repeat in product(("sample", "reference", "dark"), steps, range(REPEATS)):
+    for kind, step, repeat in product(("sample", "reference", "dark"), steps, range(repeats)):
         exposure_s, light = float(full_s * step), currents.get(kind, np.zeros(sensor.shape))
         shown = [np.minimum(expose(sensor, light, exposure_s, rng), limit) for limit in limits]
         file = f"frames/{kind}_{exposure_s}_{repeat}.tif"
