@@ -26,6 +26,8 @@ MIRRORS = 4
 """Of bodies in a row by which lamps are followed; light of more is left to chance."""
 _SMALLEST = 1e-4
 """Mean free path, over the size of a coordinate, below which single precision cannot tell two points apart."""
+_LEAST_SURVIVAL = 0.2
+"""Of a path at each surface: rare light that is found later is no more than five times as bright for it."""
 _LEAST_COSINE = 0.02
 """Of a bumped normal to the viewer; where it turns farther away, the surface's own stands in."""
 
@@ -258,7 +260,8 @@ class Tracer:
         active &= largest > 0
         if not self._hittable:
             active &= depth + 1 < self.settings.max_depth
-        survival = dr.select(depth >= self.settings.rr_depth, dr.minimum(largest, 0.95), 1)
+        ends = (depth >= self.settings.rr_depth) & ~drawn.delta  # a lamp in a mirror would be too bright a survivor
+        survival = dr.select(ends, dr.clip(largest, _LEAST_SURVIVAL, 0.95), 1)
         active &= sampler.next_1d(active) < survival
         throughput = throughput / dr.maximum(survival, 1e-12)
         mirrored = mi.Bool(False)
