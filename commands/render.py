@@ -246,7 +246,8 @@ def _subject(scene: str, given: dict[str, Any], width_px: int) -> Scene | Path:
     if scene.endswith(".xml"):
         extra = [name for name, value in given.items() if value]
         if extra:
-            raise UsageError(f"{scene} describes itself; leave out --{extra[0].replace('_', '-')}")
+            option = extra[0].removesuffix("_px").removesuffix("_path").replace("_", "-")
+            raise UsageError(f"{scene} describes itself; leave out --{option}")
         return Path(scene)
     mesh, height_mm = given["mesh"], given["height_mm"]
     if height_mm is not None and mesh is None:

@@ -21,6 +21,8 @@ DEEP = 200.0
 """…and how many mean free paths 1/σt′ under even light: a ball of so many comes out 1 % too dark. Against walks
 in balls of 10 and 30 spreads, marble and skin1, points miss 1.4 to 2.4 mean free paths over the radius."""
 _HELD = 0.9
+HOUSE_MM = 2000.0
+"""No translucent thing that people look at whole is larger; a mesh in µm is."""
 
 RULE = f"""--model auto takes brdf where light spreads less than a pixel's width in every body, else bssrdf.
 --method auto finds the light under surfaces by
@@ -87,14 +89,20 @@ def _spreads(sigma_a: Floats, sigma_sp: Floats, eta: float, g: float) -> tuple[f
 
 
 def remarks(scene: Scene) -> list[str]:
-    """Warnings: coefficients that cannot be in 1/mm for bodies of this size."""
-    return [
+    """Warnings: coefficients that cannot be in 1/mm for bodies of this size, and bodies as large as houses."""
+    small = [
         f"{name}: in {body.material.name} light spreads {max(spread_mm(body.material)):.3g} mm, over a mean free path "
         f"of {longest:.3g} mm, and the body is {body.size_mm:.3g} mm large: are the coefficients in 1/mm and the mesh "
         "in mm? (--height-mm scales a mesh)"
         for name, body in scene.bodies.items()
         if (longest := max(body.material.mean_free_path)) > body.size_mm
     ]
+    large = [
+        f"{name} is {body.size_mm / 1000:.3g} m large: is the mesh in mm? (--height-mm scales a mesh)"
+        for name, body in scene.bodies.items()
+        if body.size_mm > HOUSE_MM
+    ]
+    return small + large
 
 
 def mc_refusal(scene: Scene) -> str | None:

@@ -58,7 +58,7 @@ def read_mesh(path: Path, *, height_mm: float | None = None) -> MeshFile:
             remarks.append(f"{path}: its normals point into the body; smooth ones were taken from its faces")
         normals = face_normals(vertices, faces)
     scale = 1.0 if height_mm is None else height_mm / extent[2]
-    return MeshFile(TriangleMesh(scale * vertices, normals, _around(vertices), faces), tuple(remarks))
+    return MeshFile(TriangleMesh(scale * vertices, normals, around(vertices), faces), tuple(remarks))
 
 
 def face_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
@@ -136,7 +136,7 @@ def _names_normals(path: Path) -> bool:
     return True
 
 
-def _around(vertices: np.ndarray) -> np.ndarray:
+def around(vertices: np.ndarray) -> np.ndarray:
     """Cylindrical texture coordinates, u around the z axis with its seam at +y, v upwards."""
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     x, y = (vertices[:, :2] - (low + high)[:2] / 2).T

@@ -153,6 +153,11 @@ def test_what_is_wrong_with_a_scene_is_one_line(
     assert list(tmp_path.iterdir()) == []
 
 
+def test_an_option_that_a_file_does_not_take_is_named_as_it_was_typed(capsys: pytest.CaptureFixture[str]) -> None:
+    assert bssrdf("render", "some.xml", "--width", "8") == 2
+    assert one_line(capsys).endswith("leave out --width")
+
+
 def test_a_misspelt_option_is_told_a_living_one(capsys: pytest.CaptureFixture[str]) -> None:
     assert bssrdf("render", "block", "--samplng", "8") == 2
     said = capsys.readouterr().err

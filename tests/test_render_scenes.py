@@ -211,3 +211,8 @@ def test_auto_walks_in_bodies_that_are_small_against_light_s_ways(material: str,
     ball = dataclasses.replace(scene.bodies["ball"], shape={"type": "sphere", "radius": radius})
     lit = dataclasses.replace(scene, bodies={"ball": ball}, lights={"sky": sky(1.0)})
     assert load_stage(lit, RenderOptions("bssrdf")).chosen.startswith(method)
+
+
+def test_a_mesh_in_micrometres_is_remarked() -> None:
+    (line,) = remarks(ball_of(MARBLE, 20_000))
+    assert "20 m large" in line

@@ -55,7 +55,7 @@ def face(material: RenderMaterial, *, mesh: TriangleMesh | None = None, **look: 
         "behind": panel(_round(at, 120, 2.0, 1.2), at(0, 0, 0.65), (0.25 * h, 0.25 * h), radiance=4.0),
         SKY: sky(0.03),
     }
-    camera = Viewpoint(_round(at, -12, 2.5, 0.75), at(0, -0.03, 0.7), fov_deg=15.0)
+    camera = Viewpoint(_round(at, -12, 2.5, 0.75), at(0, -0.03, 0.63), fov_deg=9.5)
     furniture = {"wall": wall(_round(at, 168, 3.0, 0.5), _DUSK)}
     return Scene("face", {"face": Body(mesh, material, mesh.size(), bump=bump, **look)}, lights, camera, furniture)
 

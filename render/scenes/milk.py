@@ -13,7 +13,7 @@ from bssrdf.render.scenes.record import Body, Plugin, Scene, Thing, Viewpoint
 from bssrdf.render.surface_nets import Points
 
 GLASS = {"type": "dielectric", "int_ior": 1.5, "ext_ior": 1.0}
-BASE_MM, FILL_MM, RIM_MM = 6.0, 78.0, 89.0
+BASE_MM, FILL_MM, RIM_MM = 2.0, 80.0, 85.0
 """Heights: the glass's solid foot, the milk's level, the rim."""
 WALL_MM = 1.6
 _DAYLIGHT = (0.85, 1.0, 1.2)
@@ -23,15 +23,15 @@ _GAP = 0.02
 
 
 def milk(material: RenderMaterial, **look: Any) -> Scene:
-    """A glass of the material on a table, lit by a window from the left and behind.
+    """A glass of the material on a table, lit by a window from the left: one half is in its light, one in shadow.
 
     Foot and rim are glass. Between them milk takes the place of the wall that it wets: of light that meets glass from
     milk hardly any is reflected, so that its boundary is that with air, for which its coefficients hold.
     """
     body = turned(_milk())
     lights = {
-        "window": panel((-220.0, 110.0, 215.0), (0.0, 0.0, 45.0), (90.0, 90.0), radiance=8.0, colour=_DAYLIGHT),
-        SKY: sky(0.02),
+        "window": panel((-250.0, -50.0, 190.0), (0.0, 0.0, 45.0), (90.0, 90.0), radiance=8.0, colour=_DAYLIGHT),
+        SKY: sky(0.03),
     }
     camera = Viewpoint((30.0, -270.0, 150.0), (0.0, 0.0, 44.0), fov_deg=24.0)
     furniture: dict[str, Plugin | Thing] = {
