@@ -60,10 +60,17 @@ class Judged(NamedTuple):
 
 
 def judge(
-    e: Engine, plan: Plan, model: Light, data: Problem, found: Solution, *, significant: float = SIGNIFICANT
+    e: Engine,
+    plan: Plan,
+    model: Light,
+    data: Problem,
+    found: Solution,
+    *,
+    significant: float = SIGNIFICANT,
+    n: Any = None,
 ) -> Judged:
     """Linear error propagation about the optimum, and tests of the residuals; on light without noise every drift is
-    `significant`."""
+    `significant`. `n`: how many radii (b,) there were where some stand for all."""
     xp = e.xp
     at, laid, by = found.point, found.laid, found.weights
     seen = look(e, plan, model, data, laid, at)
@@ -75,7 +82,8 @@ def judge(
     w2 = [squares(e, plan, model, data, laid, at, each[0], k) for k, each in enumerate(looks)]
     windows = [window(e, model, c, at.log_sigma) for c in data.curves]
     used = tuple((inside > 0.5) & (mass > 0) for inside, mass in zip(windows, by.mass, strict=True))
-    n = sum((over_data(c.known != 0) * inside).sum(1) for c, inside in zip(data.curves, windows, strict=True))
+    if n is None:
+        n = sum((over_data(c.known != 0) * inside).sum(1) for c, inside in zip(data.curves, windows, strict=True))
     in_force = [each * _rescaled(xp, each, mass) for each, mass in zip(w2, by.mass, strict=True)]
     apart = sum(_within(c.rd, w).sum(1) for c, w in zip(data.curves, in_force, strict=True))
     chi2 = (found.stated + found.ease * apart) / xp.maximum(n + plan.weighed - len(plan.free), 1)

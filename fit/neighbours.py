@@ -6,6 +6,7 @@ with the weights as they are. Shapes: b problems; results are relative, (b, 2) i
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -13,14 +14,14 @@ from numpy.typing import NDArray
 
 from bssrdf.fit.errors import Judged, judge
 from bssrdf.fit.finite import curve_off, total_off
-from bssrdf.fit.laying import lay, look
+from bssrdf.fit.laying import TINY, lay, look
 from bssrdf.fit.layout import Total
 from bssrdf.fit.models import Truth
-from bssrdf.fit.observe import NEAREST_MFP, seen_at, total_seen
+from bssrdf.fit.observe import NEAREST_MFP
 from bssrdf.fit.problem import Laid, Neighbours, Plan, Point, Problem, Weights
 from bssrdf.fit.solve import Solution, optimise, settle
 from bssrdf.transport import R_ZERO, V_MAX
-from bssrdf.transport.arrays import NUMPY
+from bssrdf.transport.arrays import NUMPY, picked
 from bssrdf.transport.light import Light, WhiteTable, coefficients, dipole, shape_of
 
 Floats = NDArray[np.float64]
@@ -33,6 +34,10 @@ LIKE_PULL, LIKE_CHI2 = 1.5, 0.3
 """Of honest curves nine in ten are as near to what the dipole makes of the light of their medium."""
 FITS_PULL = 3.0
 """Light that the dipole itself made is not doubted."""
+ENOUGH = 48
+"""Radii that tell how two models differ, which is smooth: of 96 and more every second, fourth and so on is looked at,
+and weights and answers are laid on those."""
+OF_RADII = ("r_lo", "r_hi", "arc", "rd", "known", "log_r", "within")
 E = NUMPY
 _OF_MODELS = ("table", "exit", "side", "eta", "g")
 """Shared errors that ask for more than the data."""
@@ -77,31 +82,89 @@ def sample_error(plan: Plan, found: Solution, judged: Judged) -> Floats:
     return np.abs(moved) + np.abs(by_total) * np.max([np.zeros_like(found.point.q), *offs], axis=0)
 
 
+class _Few(NamedTuple):
+    """Some rows with fewer radii, which tell how two models differ."""
+
+    rows: NDArray[np.int_]
+    nodes: tuple[NDArray[np.int_], ...]
+    """By slice: which of the radii."""
+    ahead: tuple[Floats, ...]
+    """By slice, (b, u): how far each radius lies from one of them to the next, in ln r."""
+    plan: Plan
+    data: Problem
+
+    def summed(self, parts: Sequence[Any]) -> list[Any]:
+        """By slice what hangs on every radius, (b, ..., u), laid on the nodes beside it."""
+        found = []
+        for part, nodes, ahead in zip(parts, self.nodes, self.ahead, strict=True):
+            of = part[self.rows]
+            share = ahead if of.ndim == 2 else ahead[:, None, :]
+            laid = np.add.reduceat(of * (1 - share), nodes, axis=-1)
+            laid[..., 1:] += np.add.reduceat(of * share, nodes, axis=-1)[..., :-1]
+            found.append(laid)
+        return found
+
+
+def _few(plan: Plan, data: Problem) -> Iterator[_Few]:
+    """All rows, by how many of their radii stand for one, whatever rows are beside them."""
+    radii = np.stack([(c.known != 0).any(axis=2).sum(axis=1) for c in data.curves], axis=1)
+    steps = 2 ** np.log2(np.maximum(radii / ENOUGH, 1)).astype(int)
+    for each in np.unique(steps, axis=0):
+        rows = np.flatnonzero((steps == each).all(axis=1))
+        part = picked(data, rows)
+        nodes = tuple(_every(c.r_lo.shape[1], step) for c, step in zip(part.curves, each, strict=True))
+        sights = [
+            s._replace(inner=int((at < s.inner).sum()), blur_inner=int((at < s.blur_inner).sum()))
+            for s, at in zip(plan.sights, nodes, strict=True)
+        ]
+        curves = [
+            c._replace(**{name: getattr(c, name)[:, at] for name in OF_RADII})
+            for c, at in zip(part.curves, nodes, strict=True)
+        ]
+        ahead = tuple(_ahead(c.log_r, at) for c, at in zip(part.curves, nodes, strict=True))
+        few = part._replace(curves=tuple(curves))
+        yield _Few(rows, nodes, ahead, plan._replace(sights=tuple(sights)), few)
+
+
+def _at(sampled: Any, rows: NDArray[np.int_], nodes: NDArray[np.int_]) -> Any:
+    """Of what was laid of a sample; nothing of a half space."""
+    return type(sampled)(*(each[rows][:, nodes] if each.shape[1] > 1 else each[rows] for each in sampled))
+
+
+def _every(radii: int, step: int) -> NDArray[np.int_]:
+    """Each `step`th place, and the last."""
+    at = np.arange(0, radii, step)
+    return at if at[-1] == radii - 1 else np.append(at, radii - 1)
+
+
+def _ahead(log_r: Floats, nodes: NDArray[np.int_]) -> Floats:
+    counts = np.diff(np.append(nodes, log_r.shape[1]))
+    here, after = (np.repeat(log_r[:, at], counts, axis=1) for at in (nodes, np.append(nodes[1:], nodes[-1])))
+    return np.where(after > here, log_r - here, 0.0) / np.where(after > here, after - here, 1.0)
+
+
 def sensitivities(plan: Plan, data: Problem, found: Solution, judged: Judged, beside: Neighbours) -> dict[str, Floats]:
     """d ln(σa, σs′) by η and g, as `d_ln_sigma_a_d_g`: by the model, and for η by the slice's convention as well."""
-    out = {}
-    point, here = found.point, judged.seen
-    for name, (other, step) in beside.items():
-        factors = [step * by_eta if name == "eta" else 0.0 for _, by_eta in data.factor_slopes]
-        aside = look(E, plan, other, data, _seen_by(plan, other, data, found), point)
-        moved = np.zeros((point.q.shape[0], 2))
-        for k, factor in enumerate(factors):
-            change = np.log(np.maximum(aside.curves[k][0], 1e-300) / np.maximum(here.curves[k][0], 1e-300)) + factor
-            moved -= ((to_log(point.q) @ judged.answer[k]) * change[:, None, :]).sum(2)
-        for each, k in enumerate(plan.totals):  # none without R, of which one is looked at all the same
-            change = np.log(aside.totals[each][0] / here.totals[each][0]) + factors[k]
-            moved -= (to_log(point.q) @ judged.total_answer[:, :, None])[:, :, 0] * change / len(aside.totals)
-        for column, key in enumerate(("sigma_a", "sigma_sp")):
-            out[f"d_ln_{key}_d_{name}"] = moved[:, column] / step
+    out = {f"d_ln_{key}_d_{name}": np.empty(found.cost.size) for name in beside for key in ("sigma_a", "sigma_sp")}
+    for few in _few(plan, data) if beside else ():
+        point, answers = picked(found.point, few.rows), few.summed(judged.answer)
+        here = [value[few.rows][:, at] for (value, *_), at in zip(judged.seen.curves, few.nodes, strict=True)]
+        samples = tuple(_at(s, few.rows, at) for s, at in zip(found.laid.samples, few.nodes, strict=True))
+        total_here = [total[few.rows] for total, *_ in judged.seen.totals]
+        turn, of_total = to_log(point.q), judged.total_answer[few.rows, :, None]
+        for name, (other, step) in beside.items():
+            factors = [step * by_eta if name == "eta" else 0.0 for _, by_eta in data.factor_slopes]
+            laid = lay(E, few.plan._replace(shared=()), other, few.data, point, {})._replace(samples=samples)
+            aside = look(E, few.plan, other, few.data, laid, point)
+            moved = np.zeros((few.rows.size, 2))
+            for (value, *_), old, answer, factor in zip(aside.curves, here, answers, factors, strict=True):
+                change = np.log(np.maximum(value, 1e-300) / np.maximum(old, 1e-300)) + factor
+                moved -= ((turn @ answer) * change[:, None, :]).sum(2)
+            for k, (value, *_), old in zip(plan.totals, aside.totals, total_here, strict=False):  # one without R too
+                moved -= (turn @ of_total)[:, :, 0] * (np.log(value / old) + factors[k]) / len(aside.totals)
+            for column, key in enumerate(("sigma_a", "sigma_sp")):
+                out[f"d_ln_{key}_d_{name}"][few.rows] = moved[:, column] / step
     return out
-
-
-def _seen_by(plan: Plan, other: Light, data: Problem, found: Solution) -> Laid:
-    """What spot and camera make of another model's light at the point that was found."""
-    sights = zip(plan.sights, data.curves, strict=True)
-    seen = tuple(seen_at(E, sight, other, c, found.point.log_sigma, found.point.q) for sight, c in sights)
-    totals = tuple(total_seen(E, plan.sights[k], other, found.point.q) for k in plan.totals)
-    return found.laid._replace(seen=seen, total_seen=totals)
 
 
 class Bias(NamedTuple):
@@ -124,29 +187,40 @@ class TableSays(NamedTuple):
     """Infinite where no medium of the table comes near."""
 
 
-def bias(plan: Plan, truth: Truth, data: Problem, found: Solution, judged: Judged) -> Bias:
+def bias(plan: Plan, truth: Truth, data: Problem, found: Solution, judged: Judged, beside: Neighbours) -> Bias:
     """At the medium found and then at that less its bias; how far the bias moves between the two is added."""
-    first, on_first = _bias_at(plan, truth, data, found, found.point)
-    again, on_again = _bias_at(plan, truth, data, found, _unbiased(found.point, first))
-    off_first, off_again = (1 / np.maximum(1 + each, LEAST_RATIO) - 1 for each in (first, again))
-    error = np.where(np.isfinite(again), np.abs(off_again) + np.abs(off_again - off_first), np.abs(off_first))
-    pull = np.fmax(np.abs(on_first.pull), np.abs(on_again.pull))
+    b = found.cost.size
+    error, pull, drift, same = np.empty((b, 2)), np.empty(b), np.empty(b), np.empty(b, bool)
+    values = [np.maximum(value, TINY) for value, _, _ in judged.seen.curves]
+    relative = [mass * value**2 for mass, value in zip(found.weights.mass, values, strict=True)]
+    for few in _few(plan, data):
+        rows, of = few.rows, picked(found, few.rows)
+        here = [value[rows][:, at] for value, at in zip(values, few.nodes, strict=True)]
+        mass = tuple(part / value**2 for part, value in zip(few.summed(relative), here, strict=True))
+        laid = lay(E, few.plan, truth.dipole, few.data, of.point, beside)
+        of = of._replace(laid=laid, weights=Weights(mass, mass))
+        first, on_first = _bias_at(few, truth, of, of.point, judged.n)
+        again, on_again = _bias_at(few, truth, of, _unbiased(of.point, first), judged.n)
+        off_first, off_again = (1 / np.maximum(1 + each, LEAST_RATIO) - 1 for each in (first, again))
+        moved = np.abs(off_again) + np.abs(off_again - off_first)
+        error[rows] = np.where(np.isfinite(again), moved, np.abs(off_first))
+        pull[rows] = np.fmax(np.abs(on_first.pull), np.abs(on_again.pull))
+        drift[rows] = np.fmax(on_first.drift, on_again.drift)
+        same[rows] = np.abs(judged.pull[rows] - on_again.pull) < LIKE_PULL
+        same[rows] &= np.abs(judged.chi2[rows] - on_again.chi2) < LIKE_CHI2 * on_again.chi2
     fits = (judged.chi2 < 1) & (np.abs(judged.pull) < FITS_PULL)
-    same = np.abs(judged.pull - on_again.pull) < LIKE_PULL
-    same &= np.abs(judged.chi2 - on_again.chi2) < LIKE_CHI2 * on_again.chi2
-    return Bias(error, pull, np.fmax(on_first.drift, on_again.drift), ~fits & ~same)
+    return Bias(error, pull, drift, ~fits & ~same)
 
 
-def _bias_at(plan: Plan, truth: Truth, data: Problem, found: Solution, at: Point) -> tuple[Floats, Judged]:
+def _bias_at(few: _Few, truth: Truth, found: Solution, at: Point, n: Floats) -> tuple[Floats, Judged]:
     at = at._replace(q=np.clip(at.q, 1e-6, truth.table.q_max))
-    light = _light_of(plan, truth.table, data, at)
-    refit = refitted(plan, truth.dipole, light.data, found, Weights(found.weights.mass, light.means))
+    light = _light_of(few.plan, truth.table, few.data, at)
+    refit = refitted(few.plan, truth.dipole, light.data, found, Weights(found.weights.mass, light.means))
     fitted, true = (np.concatenate(coefficients(p.log_sigma, p.q), axis=1) for p in (refit.point, at))
     with np.errstate(divide="ignore", invalid="ignore"):
         relative = fitted / true - 1
-    return np.where(np.isfinite(relative), relative, np.nan), judge(
-        E, plan, truth.dipole, light.data, refit, significant=0.0
-    )
+    of_light = judge(E, few.plan, truth.dipole, light.data, refit, significant=0.0, n=n[few.rows])
+    return np.where(np.isfinite(relative), relative, np.nan), of_light
 
 
 def dipole_on_light(plan: Plan, truth: Light, data: Problem, at: Point) -> Floats:

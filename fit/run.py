@@ -177,7 +177,7 @@ def extra_of(fitted: Fitted, making: Making) -> Extra:
     truth = truth_of(piece, fitted.options.tables, making)
     if truth is None:
         return extra._replace(checked=False)
-    found = bias(fitted.plan, truth, fitted.data, fitted.found, fitted.judged)
+    found = bias(fitted.plan, truth, fitted.data, fitted.found, fitted.judged, fitted.beside)
     says = _by_table(fitted, truth, found.doubtful) if truth.own and fitted.plan.weighed else None
     error = np.hypot(of_sample, found.error)
     return extra._replace(model_error=error, bias=found, checked=truth.own, of_table=says)

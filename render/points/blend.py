@@ -106,15 +106,11 @@ def _found(
     towards = np.zeros_like(places) if viewer is None else viewer(places)
     cosine = np.einsum("ij,ij->i", towards, normals)
     seen = cosine > _GRAZING
-    mean, variance = np.empty((2, len(places), len(inside.sigma_a)))
-    for rows, along, number in ((seen, towards, walks), (~seen, 0 * towards, max(walks // _UNSEEN, 4))):
-        if rows.any():
-            part = walked(
-                surface, entered, inside, places[rows], normals[rows], towards=along[rows], walks=number, seed=seed
-            )
-            mean[rows], variance[rows] = part.mean, part.variance
+    along = np.where(seen[:, None], towards, 0)
+    number = np.where(seen, walks, max(walks // _UNSEEN, 4))
+    found = walked(surface, entered, inside, places, normals, towards=along, walks=number, seed=seed)
     lobe = np.where(seen[:, None], leaving(cosine), 1)
-    return Walked(mean / lobe, variance / lobe**2)
+    return Walked(found.mean / lobe, found.variance / lobe**2)
 
 
 def _quiet(around: _Near, found: Walked, flat: Floats, spacing: float) -> Floats:

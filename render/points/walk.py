@@ -18,7 +18,7 @@ import numpy as np
 from bssrdf.render.interface import phase, refract_in, sample_phase, transmittance_table
 from bssrdf.render.points.entry import CONCENTRATION, EntryLight, as_floats, as_vector, even_norm
 from bssrdf.render.points.leap import DRAWS, FIELDS, RADII, room_grid, stored_leaps
-from bssrdf.render.points.record import BodySurface, Entered, Floats
+from bssrdf.render.points.record import BodySurface, Entered, Floats, Integers
 
 LEAST = 0.1
 """Throughput below which Russian roulette decides whether a walk goes on."""
@@ -60,30 +60,41 @@ def walked(
     normals: Floats,
     *,
     towards: Floats | None = None,
-    walks: int,
+    walks: int | Integers,
     seed: int = 0,
 ) -> Walked:
     """Radiant exitance at places (k, 3) with outward normals (k, 3), by `walks` walks per channel from each.
 
-    Args: towards: unit vectors (k, 3) out of the surface, along which π times the radiance is found instead, or 0.
-    The places lie within triangles, not on edges, where half of the directions would leave the body.
+    Args: towards: unit vectors (k, 3) out of the surface, along which π times the radiance is found instead, or 0;
+    walks: one number, or (k,). The places lie within triangles, not on edges, where half of the directions would leave
+    the body.
     """
     body = _Body(surface, entered, inside)
-    channels = len(inside.sigma_a)
-    towards = np.zeros_like(places) if towards is None else towards
-    split = max(1, min(walks // 4, _LANES // len(places)))
+    starts = [places, normals, np.zeros_like(places) if towards is None else towards]
+    numbers = np.broadcast_to(walks, len(places))
+    mean, variance = np.empty((2, len(places), len(inside.sigma_a)))
+    for number in np.unique(numbers):
+        rows = numbers == number
+        mean[rows], variance[rows] = _moments(body, [part[rows] for part in starts], int(number), seed)
+    return Walked(mean, variance)
+
+
+def _moments(body: _Body, starts: list[Floats], walks: int, seed: int) -> tuple[Floats, Floats]:
+    """Means over `walks` walks from each place, and their variances, (k, channels)."""
+    places, channels = len(starts[0]), body.channels
+    split = max(1, min(walks // 4, _LANES // places))
     each = -(-walks // split)
-    total, squares = np.zeros((2, len(places), channels))
+    total, squares = np.zeros((2, places, channels))
     size = max(1, _LANES // split)
-    for low in range(0, len(places), size):
+    for low in range(0, places, size):
         rows = slice(low, low + size)
+        lanes = [np.repeat(part[rows], split, axis=0) for part in starts]
         for channel in range(channels):  # of the same random numbers: noise has little colour then
-            starts = [np.repeat(part[rows], split, axis=0) for part in (places, normals, towards)]
-            sums = _lanes(body, channel, starts, each, seed + 7919 * low)
+            sums = _lanes(body, channel, lanes, each, seed + 7919 * low)
             total[rows, channel], squares[rows, channel] = (part.reshape(-1, split).sum(axis=1) for part in sums)
     n = each * split
     mean = total / n
-    return Walked(mean, np.maximum(squares / n - mean**2, 0) / max(n - 1, 1))
+    return mean, np.maximum(squares / n - mean**2, 0) / max(n - 1, 1)
 
 
 @dataclass
@@ -145,6 +156,7 @@ class _Body:
     """A closed surface with stored light, as Dr.Jit arrays and as a scene of its own."""
 
     def __init__(self, surface: BodySurface, entered: Entered, inside: Inside) -> None:
+        self.channels = len(inside.sigma_a)
         self._scene = mi.load_dict({"type": "scene", "body": _mesh(surface)})
         self._gap = _GAP * float(np.ptp(surface.vertices, axis=0).max())
         self._faces = mi.UInt32(surface.faces.astype(np.uint32).ravel())
