@@ -279,8 +279,8 @@ ERRORS = (
     Mutant(
         "bins: the error of a faded mean falls as its weights squared",
         "measure/profile.py",
-        "bin_model / total(weight * model), 1 / weights)",
-        "bin_model / total(weight * model), 1 / weights**2)",
+        "share = np.where(clear, bin_model / modelled, 1 / weights)",
+        "share = np.where(clear, bin_model / modelled, 1 / weights**2)",
         ("measure_blocks::bins_of_noise_alone",),
     ),
 )
