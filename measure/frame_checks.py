@@ -110,18 +110,18 @@ def _is_encoded(power: Array, *, blunders: bool) -> bool:
     return bool((blunders and encoded.mean() > _MOST_PAIRS) or (alike and curved > _MILD_GAMMA))
 
 
-def check_even(shorter: Level, longer: Level, local: LocalRatios, whole: float) -> None:
-    """InputError where in part of two frames their light is in another ratio than `whole`, as a logarithm."""
+def uneven_light(shorter: Level, longer: Level, local: LocalRatios, whole: float) -> list[str]:
+    """A line where in part of two frames their light is in another ratio than `whole`, as a logarithm."""
     uneven = np.abs(local.log - whole) > _UNEVEN
     if np.count_nonzero(uneven) < max(LEAST_PLACES, _UNEVEN_SHARE * len(uneven)):
-        return
+        return []
     y, x = np.median(local.place_px[uneven], axis=0)
     row = longer.rows[round(y)]
     times = float(np.exp(np.median(local.log[uneven]) - whole))
-    raise InputError(
+    return [
         f"{longer.files[0]}: shows around pixel ({x:.0f}, {row}) {times:.2g} times the light of {shorter.files[0]}, "
         "over that in the whole; take both again (a file that was cut, a shutter half open, a picture that moved?)"
-    )
+    ]
 
 
 def check_gains(gains: Mapping[str, Gain | None], files: Mapping[str, str]) -> None:

@@ -32,7 +32,7 @@ from bssrdf.calib import (
 from bssrdf.errors import InputError
 from bssrdf.measure.bracket import Bracket
 from bssrdf.measure.first_look import MARGIN, first_guess
-from bssrdf.measure.frame_checks import LEAST_PLACES, check_even, check_gains, check_light, is_blunder
+from bssrdf.measure.frame_checks import LEAST_PLACES, check_gains, check_light, is_blunder, uneven_light
 from bssrdf.measure.hdr import Progress
 from bssrdf.measure.levels import Correction, Level, beside, levels_of
 from bssrdf.measure.pixels import places
@@ -99,6 +99,8 @@ class _Found:
     moved: bool = False
     moved_far: list[str] = field(default_factory=list)
     """A line for each frame whose picture moved by more than can be borne."""
+    uneven: list[str] = field(default_factory=list)
+    """A line for each frame that was lit in part."""
     levels: dict[str, list[Level]] = field(default_factory=dict)
     """By kind, without their pixels."""
 
@@ -189,6 +191,8 @@ def _compare(
     if not found.moved:
         gains = {kind: _mean_gain(each) for kind, each in found.gains.items()}
         check_gains(gains, {kind: levels[0].files[0] for kind, levels in found.levels.items()})
+    for line in found.uneven:  # last: numbers that were scaled look uneven where their white is not seen
+        raise InputError(line)
     return found
 
 
@@ -219,7 +223,7 @@ def _compare_pair(found: _Found, before: Level, level: Level, sensor: Sensor, pe
     if rough is not None:
         found.light[second - 1, second] = rough
         if not is_blunder(rough, ratio):
-            check_even(before, level, local, rough)
+            found.uneven += uneven_light(before, level, local, rough)
     chosen = np.zeros(a.shape, bool)
     found.n_places = len(places(a.shape, period))
     for colour, at in enumerate(places(a.shape, period)):

@@ -93,7 +93,7 @@ def test_a_fit_does_not_depend_on_the_curves_beside_it(tmp_path: Path) -> None:
 def test_a_bad_slice_is_a_row_with_its_error_and_the_others_are_fitted(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    source = bulk(tmp_path / "slices.parquet", {"good": plain(), "other": plain(1.5, seed=1), "odd": plain()})
+    source = bulk(tmp_path / "slices.parquet", {"good": plain(), "other": plain(seed=1), "odd": plain()})
     table = pq.read_table(source)
     rd = table["rd_per_mm2"].to_pylist()
     rd[-1] = rd[-1][:-1]

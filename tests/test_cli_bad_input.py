@@ -13,7 +13,7 @@ from bssrdf.cli import cli
 from bssrdf.commands.console import run
 
 EXPOSURES = {"10ms": 0.01, "40ms": 0.04}
-SHAPE = (12, 16)
+SHAPE = (16, 20)
 TOML = """format = 1
 [material]
 name = "wax"
