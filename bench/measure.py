@@ -29,11 +29,11 @@ KINDS: tuple[FrameKind, ...] = ("sample", "reference", "sample_dark", "reference
 _AND_PEAK = """
 import re, sys
 from pathlib import Path
-from bssrdf.cli import cli
-from bssrdf.commands.console import run
-code = run(cli, sys.argv[1:])
-print(re.search(r"VmHWM:\\s*(\\d+)", Path("/proc/self/status").read_text())[1])
-sys.exit(code)
+from bssrdf.cli import main
+try:
+    main(sys.argv[1:])
+finally:
+    print(re.search(r"VmHWM:\\s*(\\d+)", Path("/proc/self/status").read_text())[1])
 """
 """A command, and then its own peak memory [kB] as Linux has it: a child's usage would hold its parent's."""
 
