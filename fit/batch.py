@@ -13,7 +13,8 @@ from bssrdf.fit.errors import SCATTERED, Judged, judge
 from bssrdf.fit.jobs import Job, Options, problem_of
 from bssrdf.fit.models import beside_of
 from bssrdf.fit.problem import Neighbours, Plan, Point, Problem
-from bssrdf.fit.solve import MAX_STEPS, NEAR, REST, Solution, optimise, settle, start, starts_of
+from bssrdf.fit.solve import MAX_STEPS, NEAR, REST, Solution, optimise, settle
+from bssrdf.fit.starts import start, starts_of
 from bssrdf.transport.arrays import NUMPY, picked, replaced
 from bssrdf.transport.light import Light
 

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 
 from bssrdf.fit.problem import Neighbours, Plan, Point, Problem
-from bssrdf.fit.solve import Solution, settle, start
+from bssrdf.fit.solve import Solution, settle
+from bssrdf.fit.starts import start
 from bssrdf.transport.arrays import ById
 from bssrdf.transport.light import Light
 

@@ -15,7 +15,8 @@ from bssrdf.fit.compiled import settled
 from bssrdf.fit.jobs import Job, problem_of
 from bssrdf.fit.models import beside_of, shipped_table
 from bssrdf.fit.run import FitOptions, fit_joint, fit_slice, fit_slices
-from bssrdf.fit.solve import settle, start
+from bssrdf.fit.solve import settle
+from bssrdf.fit.starts import start
 from bssrdf.session.records import ChannelFit
 from bssrdf.transport.arrays import NUMPY
 from bssrdf.transport.light import Light
