@@ -177,6 +177,9 @@ def _command(*arguments: object) -> str:
     return done.stdout
 
 
+_MISS = {True: "", False: " ✗"}
+
+
 def table_lines(cells: Sequence[DemoCell]) -> list[str]:
     """By coefficient, one line per channel: published, recovered by the table model, its error and interval; the
     dipole's error."""
@@ -187,7 +190,7 @@ def table_lines(cells: Sequence[DemoCell]) -> list[str]:
         lines += ["", _line("material", f"{symbol} 1/mm", "mc", "error", "95 %", "dipole"), _RULE]
         for name, channel in channels:
             cell, dipole = (found[name, channel, quantity, model] for model in MODELS)
-            interval = f"{_value(cell.low)}–{_value(cell.high)}{'' if cell.holds else ' ✗'}"
+            interval = "refused" if cell.low is None else f"{_value(cell.low)}–{_value(cell.high)}{_MISS[cell.holds]}"
             published = f"{cell.published:g}{'' if cell.given == cell.published else '*'}"
             errors = _percent(cell.error), interval, _percent(dipole.error)
             lines.append(_line(f"{name} {channel}", published, _value(cell.recovered), *errors))
@@ -218,7 +221,7 @@ def summary_lines(cells: Sequence[DemoCell]) -> list[str]:
         lines.append(
             f"{symbol}, mc: median error {100 * median(errors):.1f} %, "
             f"{sum(error <= 0.05 for error in errors)} of {len(errors)} within 5 %; "
-            f"{sum(cell.holds for cell in own)} of {len(own)} intervals hold what was given, {refused} are refused."
+            f"{sum(cell.holds for cell in own)} of {len(own)} intervals hold what was given, {refused} refused."
         )
     return lines
 
