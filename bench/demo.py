@@ -177,9 +177,6 @@ def _command(*arguments: object) -> str:
     return done.stdout
 
 
-_MISS = {True: "", False: " ✗"}
-
-
 def table_lines(cells: Sequence[DemoCell]) -> list[str]:
     """By coefficient, one line per channel: published, recovered by the table model, its error and interval; the
     dipole's error."""
@@ -190,7 +187,8 @@ def table_lines(cells: Sequence[DemoCell]) -> list[str]:
         lines += ["", _line("material", f"{symbol} 1/mm", "mc", "error", "95 %", "dipole"), _RULE]
         for name, channel in channels:
             cell, dipole = (found[name, channel, quantity, model] for model in MODELS)
-            interval = "refused" if cell.low is None else f"{_value(cell.low)}–{_value(cell.high)}{_MISS[cell.holds]}"
+            missed = "" if cell.holds else " ✗"
+            interval = "refused" if cell.low is None else f"{_value(cell.low)}–{_value(cell.high)}{missed}"
             published = f"{cell.published:g}{'' if cell.given == cell.published else '*'}"
             errors = _percent(cell.error), interval, _percent(dipole.error)
             lines.append(_line(f"{name} {channel}", published, _value(cell.recovered), *errors))

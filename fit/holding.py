@@ -16,6 +16,8 @@ from bssrdf.transport.slab import FARTHEST, air_back
 Kind = Literal["half", "slab", "dish"]
 THICKNESS_REL_SD = 0.02
 """Assumed where none is stated: half a millimetre of 25 by a ruler."""
+NEAR_TOTAL = 0.01
+"""An index so near to total reflection is taken for it: its neighbours, by which slopes are found, may be beyond."""
 BLACK, BLACK_SD = 0.03, 0.03
 """Of black paint, felt or anodised metal."""
 BACKING_SD = 0.05
@@ -97,6 +99,15 @@ def _back(piece: Slice) -> tuple[float, float] | None:
 
 
 def _possible(piece: Slice) -> None:
+    angles = {"incidence_deg": piece.incidence_deg}
+    if piece.exit == "fresnel":
+        angles["view_angle_deg"] = piece.view_angle_deg
+    for key, angle in angles.items():
+        if piece.eta < 1 and math.sin(math.radians(angle)) > piece.eta - NEAR_TOTAL:
+            raise InputError(
+                f"eta = {piece.eta:g} with {key} = {angle:g}: there a boundary of that index reflects all light; "
+                "correct one of them"
+            )
     if piece.wall is not None and piece.width_mm is None:
         raise InputError(f'wall = "{piece.wall}": give width_mm, the inner diameter of the dish, too')
     spot = piece.spot_radius_mm or 0.0

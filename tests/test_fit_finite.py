@@ -200,6 +200,8 @@ def test_what_is_assumed_is_flagged_and_what_is_unknown_left_out() -> None:
         ({"wall": "black"}, "give width_mm"),
         ({"spot_radius_mm": 12.0}, "no more than the spot"),
         ({"spot_radius_mm": 3.0, "width_mm": 5.0, "wall": "air"}, "no wider than the spot"),
+        ({"eta": 0.4, "exit": "fresnel", "view_angle_deg": 45.0}, "view_angle_deg = 45.*reflects all light"),
+        ({"eta": 0.6, "incidence_deg": 40.0}, "incidence_deg = 40.*reflects all light"),
     ],
 )
 def test_a_sample_that_cannot_be_is_refused_in_one_line(keys: dict[str, Any], said: str) -> None:
