@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 
-from bssrdf.fit.finite import Errors, curve_off, further, sampled, total_look
 from bssrdf.fit.observe import (
     NEAREST_MFP,
     QuadratureNodes,
@@ -41,6 +40,7 @@ from bssrdf.fit.problem import (
 from bssrdf.transport import R_ZERO
 from bssrdf.transport.arrays import Engine
 from bssrdf.transport.light import KNOT_STEP, Light
+from bssrdf.transport.sample_light import curve_off, further, sampled, total_look
 
 SLOPE_Q = 1e-4
 """Where the slope of the total at R = 1 is taken."""
@@ -74,8 +74,8 @@ def _samples(e: Engine, plan: Plan, model: Light, data: Problem, at: Point, *, p
         if kind == "half":
             return ()
         r = e.xp.sqrt((c.r_lo * c.r_lo + c.r_hi * c.r_hi) / 2)
-        errors = Errors(data.sds[k].thickness, data.sds[k].back)
-        return sampled(e, model, kind == "dish", sample, errors, at.log_sigma, at.q, r, plain=plain)
+        errors = {"thickness_rel_sd": data.sds[k].thickness, "back_sd": data.sds[k].back}
+        return sampled(e, model, kind == "dish", sample, at.log_sigma, at.q, r, plain=plain, **errors)
 
     return tuple(of(k) for k in range(len(plan.sights)))
 

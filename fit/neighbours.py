@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bssrdf.fit.errors import Judged, judge
-from bssrdf.fit.finite import curve_off, total_off
 from bssrdf.fit.laying import TINY, lay, look
 from bssrdf.fit.layout import Total
 from bssrdf.fit.models import Truth
@@ -23,6 +22,7 @@ from bssrdf.fit.solve import Solution, optimise, settle
 from bssrdf.transport import R_ZERO, V_MAX
 from bssrdf.transport.arrays import NUMPY, picked
 from bssrdf.transport.light import Light, WhiteTable, coefficients, dipole, shape_of
+from bssrdf.transport.sample_light import curve_off, total_off
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]

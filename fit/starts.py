@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 
-from bssrdf.fit.finite import q_of_sample, scanned
 from bssrdf.fit.laying import curve, lay_plainly
 from bssrdf.fit.layout import Total
 from bssrdf.fit.problem import Plan, Point, Problem, held_any
@@ -16,6 +15,7 @@ from bssrdf.transport.arrays import Engine
 from bssrdf.transport.finite import Sample
 from bssrdf.transport.light import Light
 from bssrdf.transport.q_root import q_of_total
+from bssrdf.transport.sample_light import q_of_sample, scanned
 
 START_STEPS = 15
 Q_GRID = np.geomspace(0.03, 1.6, 16)

@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 
-from bssrdf.fit.finite import curve_off, q_of_sample, total_off
 from bssrdf.fit.laying import TINY
 from bssrdf.fit.layout import Curves
 from bssrdf.fit.observe import exit_rel_sd
@@ -18,6 +17,7 @@ from bssrdf.fit.problem import Gaps, Laid, Looked, Plan, Point, Problem, System,
 from bssrdf.transport.arrays import Engine
 from bssrdf.transport.light import Light
 from bssrdf.transport.q_root import q_of_total
+from bssrdf.transport.sample_light import curve_off, q_of_sample, total_off
 
 HUBER = 1.345
 """Standard deviations from which on a residual counts linearly: 95 % efficient on normal noise (Huber 1981)."""

@@ -1,7 +1,7 @@
-"""What back and wall make of curve and total in the objective, with the responses to errors of depth and back.
+"""What back and wall make of curve and total near a point, how far that may be off, and what errors of both do.
 
-The ratio to a half space is worked out where the search is laid, and goes on from there to first order in ln σt′ and
-q², in which it is smooth at q = 0; the total's is worked out at each point.
+The curve's ratio to a half space (`finite`) is worked out at the point, and goes on from there to first order in ln σt′
+and q², in which it is smooth at q = 0; the total's is worked out wherever it is asked for.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ SMALLEST_TOTAL_Q = 1e-5
 
 
 class Sampled(NamedTuple):
-    """ln of a slice's ratio to a half space near where it was laid, and what that answers to one sd of each error."""
+    """ln of the ratio to a half space near where it was worked out, and what that answers to one sd of each error."""
 
     log_ratio: Any
     by_log_sigma: Any
@@ -70,17 +70,20 @@ def total_off(laid: Sampled) -> Any:
     return TOTAL_OFF * (1 + laid.nearness) * abs(laid.log_total)
 
 
-class Errors(NamedTuple):
-    """Of a sample, (b, 1): relative of the depth, absolute of the back's reflectance."""
-
-    thickness: Any
-    back: Any
-
-
 def sampled(
-    e: Engine, model: Light, dish: bool, sample: Sample, sds: Errors, log_sigma: Any, q: Any, r: Any, *, plain: bool
+    e: Engine,
+    model: Light,
+    dish: bool,
+    sample: Sample,
+    log_sigma: Any,
+    q: Any,
+    r: Any,
+    *,
+    thickness_rel_sd: Any,
+    back_sd: Any,
+    plain: bool,
 ) -> Sampled:
-    """At a point, at radii r (b, u); `plain` leaves out the answers."""
+    """At a point, at radii r (b, u), with the answers to these errors (b, 1); `plain` leaves those out."""
     xp = e.xp
     top = top_of(model)
     half = half_space(e, top, q, xp.exp(log_sigma) * r)
@@ -98,12 +101,12 @@ def sampled(
     )  # fmt: skip
     if plain:
         return laid
-    step = xp.clip(sds.thickness, LEAST_STEP, MOST_STEP)
-    others = _aside(e, dish, sample, step, sds.back)
+    step = xp.clip(thickness_rel_sd, LEAST_STEP, MOST_STEP)
+    others = _aside(e, dish, sample, step, back_sd)
     less = changes(e, dish, fine(), others, sample, top, log_sigma, q, r)
     moved = _halves([level_of_change(e, half[0], each) for each in less])
     total_moved = _halves([log_total(each) for each in others[:4]])
-    share = sds.thickness / step
+    share = thickness_rel_sd / step
     return laid._replace(
         by_thickness=moved[0] * share,
         by_back=moved[1],
