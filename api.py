@@ -17,13 +17,14 @@ from numpy.typing import ArrayLike
 
 import bssrdf
 from bssrdf.errors import InputError
-from bssrdf.fit import FitOptions, Making, fit_g, fit_slices, forward_curve
+from bssrdf.fit import FitOptions, fit_g, fit_slices
 from bssrdf.session import HEADER, about, slice_from_arrays, slice_from_dataframe, slice_of, write_fit
 from bssrdf.session import read_fit as _read_fit
 from bssrdf.session import read_session as _read_session
 from bssrdf.session import read_slice as _read_slice
 from bssrdf.session.checks import known_keys, shown
 from bssrdf.session.records import Array, Fit, Session, Slice
+from bssrdf.transport import Making, forward_curve
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -11,9 +11,10 @@ from bssrdf.batch.fit_steps import asked, fit_all, fit_of
 from bssrdf.batch.fits_parquet import NamedFit, write_fits
 from bssrdf.batch.slices_parquet import Named, count_curves, read_slices
 from bssrdf.errors import BssrdfError, InputError
-from bssrdf.fit import SILENT, FitOptions, Making
+from bssrdf.fit import FitOptions
 from bssrdf.session import doubt
 from bssrdf.session.records import Slice
+from bssrdf.transport import SILENT, Making
 
 CURVES = 6144
 """That are fitted together: 24 batches of the fit, so that few rows are left over where kinds are mixed."""

@@ -9,10 +9,11 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import bssrdf
 from bssrdf.errors import BssrdfError, InputError
-from bssrdf.fit import SILENT, FitOptions, Making, fit_g, fit_joint, fit_slices
+from bssrdf.fit import FitOptions, fit_g, fit_joint, fit_slices
 from bssrdf.session import HEADER, about, atomic_write, doubt, read_fit, read_session, read_slice, sha256_of, write_fit
 from bssrdf.session.flags import Flag
 from bssrdf.session.records import SAMPLE_KEYS, ChannelFit, Fit, Session, Slice
+from bssrdf.transport import SILENT, Making
 
 if TYPE_CHECKING:
     from bssrdf.report import Check

@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bssrdf.bench.bulk import CHANNELS, noisy_slices
-from bssrdf.fit import Fitted, Job, Options, Solution, fit_group, searched, shipped_table
+from bssrdf.fit import Fitted, Job, Options, Solution, fit_group, searched
+from bssrdf.transport import shipped_table
 from bssrdf.transport.light import coefficients
 
 Engine = Literal["NumPy", "float64", "float32"]

@@ -14,8 +14,10 @@ from typing import Any
 
 import numpy as np
 
-from bssrdf.fit import FitOptions, fit_slice, fit_slices, held, sample_ratio, shipped_table
+from bssrdf.fit import FitOptions, fit_slice, fit_slices, sample_ratio
+from bssrdf.holding import held
 from bssrdf.session.records import ChannelSlice, Slice
+from bssrdf.transport import shipped_table
 from bssrdf.transport.arrays import NUMPY
 from bssrdf.transport.finite import Sample, top_of, total_ratio
 from bssrdf.transport.light import shape_of

@@ -18,9 +18,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from bssrdf.bench.fit_peers import PeerFit, PeerProblem, jaxopt_soft, scipy_exact, scipy_slsqp, scipy_soft, timed
-from bssrdf.fit import Constraint, Job, Options, fit_group, shipped_table
+from bssrdf.fit import Constraint, Job, Options, fit_group
 from bssrdf.session.records import ChannelSlice, Slice
-from bssrdf.transport import CHANNELS, absorption_ratio, load_materials, scoped_x64, table_model
+from bssrdf.transport import CHANNELS, absorption_ratio, load_materials, scoped_x64, shipped_table, table_model
 from bssrdf.transport.dipole import Medium
 from bssrdf.transport.light import coefficients, dipole
 

@@ -20,8 +20,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bssrdf.bench.trial_light import Cell, TrialLight, batches, edges_mm, photons_for, shipped
-from bssrdf.fit import FitOptions, fit_slices, shipped_table
+from bssrdf.fit import FitOptions, fit_slices
 from bssrdf.session.records import ChannelFit, ChannelSlice, Slice
+from bssrdf.transport import shipped_table
 from bssrdf.transport.arrays import NUMPY
 from bssrdf.transport.light import shape_of
 

@@ -31,8 +31,8 @@ def _radii(_: click.Context, option: click.Parameter, given: str | None) -> list
 @force_option
 def curve(r: list[float] | None, out: Path | None, plot: Path | None, force: bool, **medium: Any) -> None:
     """Print R_d(r) and R that given coefficients make."""
-    from bssrdf.fit import Making
     from bssrdf.report import curve_csv, draw_curve
+    from bssrdf.transport import Making
 
     if out is not None and out == plot:
         raise UsageError(f"{out}: --out and --plot name one file; give each its own")

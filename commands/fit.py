@@ -86,9 +86,10 @@ def fit(
         return _fit_bulk(inputs, target, bulk, asked | {"robust": robust, "tables": tables}, keys)
 
     from bssrdf.batch import fit_files, fit_joint_files
-    from bssrdf.fit import RULE, FitOptions, Making
+    from bssrdf.fit import RULE, FitOptions
     from bssrdf.report import fit_text
     from bssrdf.session import failure_line, fit_line
+    from bssrdf.transport import Making
 
     if explain:
         click.echo(RULE, err=as_json)
@@ -125,8 +126,9 @@ def _fit_bulk(
         raise UsageError("a Parquet file is fitted by itself into another: give one, and --out FITS.parquet")
 
     from bssrdf.batch import fit_parquet, is_parquet
-    from bssrdf.fit import FitOptions, Making
+    from bssrdf.fit import FitOptions
     from bssrdf.report import steps
+    from bssrdf.transport import Making
 
     if not is_parquet(inputs[0]):
         raise UsageError(f"{inputs[0]} is not a Parquet file; make one of slices by `bssrdf convert`")

@@ -12,21 +12,10 @@ if TYPE_CHECKING:
     from bssrdf.fit.batch import Fitted as Fitted
     from bssrdf.fit.batch import fit_group as fit_group
     from bssrdf.fit.batch import searched as searched
-    from bssrdf.fit.forward import Forward as Forward
-    from bssrdf.fit.forward import forward_curve as forward_curve
     from bssrdf.fit.free_g import fit_g as fit_g
-    from bssrdf.fit.holding import BLACK as BLACK
-    from bssrdf.fit.holding import HALF_SPACE as HALF_SPACE
-    from bssrdf.fit.holding import NEAR_WALL as NEAR_WALL
-    from bssrdf.fit.holding import Held as Held
-    from bssrdf.fit.holding import held as held
     from bssrdf.fit.jobs import Job as Job
     from bssrdf.fit.jobs import Options as Options
     from bssrdf.fit.models import RULE as RULE
-    from bssrdf.fit.models import SILENT as SILENT
-    from bssrdf.fit.models import Making as Making
-    from bssrdf.fit.models import shipped_table as shipped_table
-    from bssrdf.fit.models import tabulated as tabulated
     from bssrdf.fit.problem import Constraint as Constraint
     from bssrdf.fit.run import FitOptions as FitOptions
     from bssrdf.fit.run import fit_joint as fit_joint

@@ -7,14 +7,15 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bssrdf.fit.holding import held, samples_of
 from bssrdf.fit.layout import Curves, Sight, curves_of, sight_of
-from bssrdf.fit.models import ASSUMED_G, Making, has_table, shipped_table, table_of_medium, tabulated
-from bssrdf.fit.observe import NEAREST_MFP, averaged, nodes, seen_at
+from bssrdf.fit.models import table_key
+from bssrdf.fit.observe import averaged, nodes, seen_at
+from bssrdf.holding import held, samples_of
 from bssrdf.session.records import Slice
+from bssrdf.transport import has_light_table, light_table, shipped_table, tabulated
 from bssrdf.transport.arrays import NUMPY
 from bssrdf.transport.finite import log_ratio, top_of
-from bssrdf.transport.light import Light, dipole, shape_of
+from bssrdf.transport.light import NEAREST_MFP, Light, dipole, shape_of
 
 Floats = NDArray[np.float64]
 
@@ -71,14 +72,12 @@ def bare_curve(piece: Slice, channel: str, sigma_a: float, sigma_sp: float, mode
 
 def model_of(piece: Slice, name: str) -> Light:
     """The model that a fit names, by tables at hand; the dipole where no table is."""
-    if name == "mc" and has_table(piece, "cached"):
-        return table_of_medium(piece, "cached", Making())
-    return dipole(piece.eta)
+    with_table = name == "mc" and has_light_table(*table_key(piece), "cached")
+    return light_table(*table_key(piece), "cached") if with_table else dipole(piece.eta)
 
 
 def _usual_model(piece: Slice) -> Light:
-    g = ASSUMED_G if piece.g is None else piece.g
-    return shipped_table(piece.eta, g) if tabulated(piece.eta, g) else dipole(piece.eta)
+    return shipped_table(piece.eta, table_key(piece).g) if tabulated(piece.eta, piece.g) else dipole(piece.eta)
 
 
 def sample_ratio(piece: Slice, sigma_a: float, sigma_sp: float, r_mm: Floats) -> Floats:

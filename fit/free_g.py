@@ -11,9 +11,10 @@ import numpy as np
 from bssrdf.errors import InputError
 from bssrdf.fit.batch import fit_group
 from bssrdf.fit.jobs import Job, groups_of
-from bssrdf.fit.models import SILENT, Making, table_of_medium, tabulated
+from bssrdf.fit.models import named
 from bssrdf.fit.run import FitOptions
 from bssrdf.session.records import Slice
+from bssrdf.transport import SILENT, Making, tabulated
 
 GRID = (0.0, 0.35, 0.6, 0.75, 0.8, 0.9)
 
@@ -38,7 +39,7 @@ def fit_g(piece: Slice, options: FitOptions, *, making: Making = SILENT) -> Free
         begin = None  # each g begins where the last one ended
         for at, g in enumerate(GRID):
             members = [Job((replace(piece, g=g),), jobs[place].channel) for place in places]
-            model = table_of_medium(members[0].pieces[0], asked.tables, making)
+            model = named("mc", members[0].pieces[0], asked.tables, making)
             found = fit_group(members, asked, model, begin=begin).found
             chi2[at] += float(found.cost.sum())
             begin = found.point

@@ -10,7 +10,6 @@ import numpy as np
 
 from bssrdf.errors import InputError
 from bssrdf.fit.compiled import FROM
-from bssrdf.fit.holding import Held, held, samples_of
 from bssrdf.fit.layout import Curves, Sight, camera_factor, curves_of, nodes_of, points_of, sight_of, total_of
 from bssrdf.fit.problem import (
     EXIT_MODES,
@@ -25,6 +24,7 @@ from bssrdf.fit.problem import (
     Shared,
     Source,
 )
+from bssrdf.holding import Held, held, samples_of
 from bssrdf.session.records import Slice
 from bssrdf.transport import Policy
 from bssrdf.transport.light import Light

@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 
 from bssrdf.fit.observe import (
-    NEAREST_MFP,
     QuadratureNodes,
     averaged,
     exit_modes,
@@ -39,7 +38,7 @@ from bssrdf.fit.problem import (
 )
 from bssrdf.transport import R_ZERO
 from bssrdf.transport.arrays import Engine
-from bssrdf.transport.light import KNOT_STEP, Light
+from bssrdf.transport.light import KNOT_STEP, NEAREST_MFP, Light
 from bssrdf.transport.sample_light import curve_off, further, sampled, total_look
 
 SLOPE_Q = 1e-4
@@ -186,7 +185,7 @@ def _responses(
             response = sds.spot * (wider.log_ratio - laid.seen[k].log_ratio) / SPOT_STEP
         else:
             other, step = beside[error.source]
-            aside = curve(e, plan, other, laid, at, k)[0]
+            aside = curve(e, plan, other(), laid, at, k)[0]
             aside = xp.log(xp.maximum(_relative(xp, aside, looks[k][0]), TINY)) / step
             response = getattr(sds, error.source) * (aside + (by_eta if error.source == "eta" else 0.0))
         columns.append(response)
@@ -234,7 +233,7 @@ def _total_responses(
             response = getattr(laid.samples[k], f"total_by_{error.source}")
         elif k in error.slices and error.source in ("eta", "g"):
             other, step = beside[error.source]
-            aside = xp.log(other.total(e, at.q)[0] / model.total(e, at.q)[0]) / step
+            aside = xp.log(other().total(e, at.q)[0] / model.total(e, at.q)[0]) / step
             response = getattr(sds, error.source) * (aside + (by_eta if error.source == "eta" else 0.0))
         columns.append(response)
     return xp.concatenate(columns, axis=1) if columns else xp.zeros((at.q.shape[0], 0))

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bssrdf.fit.holding import Kind, held
+from bssrdf.holding import Kind, held
 from bssrdf.session.records import ChannelSlice, Slice
 from bssrdf.transport.light import exit_norm, transmittance
 

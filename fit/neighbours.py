@@ -16,12 +16,11 @@ from bssrdf.fit.errors import Judged, judge
 from bssrdf.fit.laying import TINY, lay, look
 from bssrdf.fit.layout import Total
 from bssrdf.fit.models import Truth
-from bssrdf.fit.observe import NEAREST_MFP
 from bssrdf.fit.problem import Laid, Neighbours, Plan, Point, Problem, Weights
 from bssrdf.fit.solve import Solution, optimise, settle
 from bssrdf.transport import R_ZERO, V_MAX
 from bssrdf.transport.arrays import NUMPY, picked
-from bssrdf.transport.light import Light, WhiteTable, coefficients, dipole, shape_of
+from bssrdf.transport.light import NEAREST_MFP, Light, WhiteTable, coefficients, dipole, shape_of
 from bssrdf.transport.sample_light import curve_off, total_off
 
 Floats = NDArray[np.float64]
@@ -152,7 +151,8 @@ def sensitivities(plan: Plan, data: Problem, found: Solution, judged: Judged, be
         samples = tuple(_at(s, few.rows, at) for s, at in zip(found.laid.samples, few.nodes, strict=True))
         total_here = [total[few.rows] for total, *_ in judged.seen.totals]
         turn, of_total = to_log(point.q), judged.total_answer[few.rows, :, None]
-        for name, (other, step) in beside.items():
+        for name, (made, step) in beside.items():
+            other = made()
             factors = [step * by_eta if name == "eta" else 0.0 for _, by_eta in data.factor_slopes]
             laid = lay(E, few.plan._replace(shared=()), other, few.data, point, {})._replace(samples=samples)
             aside = look(E, few.plan, other, few.data, laid, point)

@@ -11,12 +11,10 @@ import numpy as np
 
 from bssrdf.fit.layout import Curves, Sight
 from bssrdf.transport.arrays import Engine
-from bssrdf.transport.light import Light, Look, exit_norm, transmittance
+from bssrdf.transport.light import NEAREST_MFP, Light, Look, exit_norm, transmittance
 
 _DARKEST = 1e-6
 """What the exit law falls to at least, where it is a fit that may run below 0 right at the beam."""
-NEAREST_MFP = 1e-3
-"""Radii nearer than this are looked at here: light scattered once goes as 1/r."""
 EXIT_NEAR_MFP = 0.5
 EXIT_BENDS_MFP = 0.2, 4.0
 """From the first to the second radius the departure turns round."""

@@ -5,7 +5,7 @@ Shapes: b problems, u radii of a slice, P parameters.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable
 from typing import Any, Literal, NamedTuple
 
 from bssrdf.fit.layout import Curves, Sight, Total
@@ -162,8 +162,8 @@ class System(NamedTuple):
     """(b, P, P)."""
 
 
-Neighbours = Mapping[str, tuple[Light, float]]
-"""By `eta` and `g`: a model a little aside, and how far."""
+Neighbours = dict[str, tuple[Callable[[], Light], float]]
+"""By `eta` and `g`: a model a little aside, made when it is first asked for, and how far."""
 
 
 def held_any(plan: Plan) -> bool:

@@ -12,28 +12,14 @@ from bssrdf.errors import InputError
 from bssrdf.fit.batch import Fitted, fit_group, surely_poor
 from bssrdf.fit.intervals import Profile, profile
 from bssrdf.fit.jobs import Job, Options, groups_of
-from bssrdf.fit.models import (
-    ASSUMED_G,
-    DIPOLE_BEST,
-    DIPOLE_SHARE,
-    SILENT,
-    Making,
-    ModelName,
-    Truth,
-    beam_of,
-    has_table,
-    named,
-    shipped_table,
-    tabulated,
-    truth_of,
-)
+from bssrdf.fit.models import DIPOLE_BEST, DIPOLE_SHARE, ModelName, Truth, named, table_key, truth_of
 from bssrdf.fit.neighbours import TableSays, bias, dipole_on_light, refitted, sample_error, sensitivities, table_error
 from bssrdf.fit.problem import Constraint
 from bssrdf.fit.sample_verdict import thin_rows
 from bssrdf.fit.verdict import FEWEST, Extra, channel_fits, needs_profile, relative_sds
 from bssrdf.session.flags import Flag
 from bssrdf.session.records import ChannelFit, Slice
-from bssrdf.transport import NORMAL, Policy
+from bssrdf.transport import NORMAL, SILENT, Making, Policy, has_light_table, shipped_table, tabulated
 from bssrdf.transport.arrays import picked
 from bssrdf.transport.light import Light, WhiteTable, coefficients, dipole
 
@@ -124,7 +110,7 @@ def batches(jobs: Sequence[Job], options: FitOptions, making: Making) -> Iterato
         members, piece = [jobs[at] for at in places], jobs[places[0]].pieces[0]
         auto, name = options.model == "auto", options.model
         if name == "auto":
-            name = "mc" if has_table(piece, options.tables) else "dipole"
+            name = "mc" if has_light_table(*table_key(piece), options.tables) else "dipole"
         model = named(name, piece, options.tables, making)
         fitted = fit_group(members, options.of_problem, model, compiled_for=rows)
         simple = np.flatnonzero(_dipole_will_do(fitted)) if auto and not model.biased else np.array([])
@@ -214,10 +200,10 @@ def _others(fitted: Fitted) -> list[tuple[str, ...]]:
     raised: list[tuple[str, ...]] = [() for _ in fitted.jobs]
     poor = np.flatnonzero(surely_poor(fitted.judged) & fitted.found.converged & ~thin_rows(fitted))
     piece = fitted.jobs[0].pieces[0]
-    if not poor.size or fitted.model.biased or beam_of(piece) != NORMAL:
+    if not poor.size or fitted.model.biased or table_key(piece).beam != NORMAL:
         return raised
     part = _subset(fitted, poor)
-    g = ASSUMED_G if piece.g is None else piece.g
+    g = table_key(piece).g
     nodes = [(Flag.G_SUSPECT, piece.eta, other) for other in OTHER_G if abs(other - g) > 0.05]
     nodes += [(Flag.ETA_SUSPECT, piece.eta + step, g) for step in (-ETA_AWAY, ETA_AWAY)]
     for flag, eta, other in nodes:

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bssrdf.fit.batch import Fitted
-from bssrdf.fit.holding import Held, assumed, held
 from bssrdf.fit.problem import held_any
+from bssrdf.holding import Held, assumed, held
 from bssrdf.session.flags import Flag
 from bssrdf.session.records import Slice
 

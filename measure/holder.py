@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bssrdf.fit import Held
+from bssrdf.holding import Held
 from bssrdf.session.records import Array
 from bssrdf.transport.arrays import NUMPY
 from bssrdf.transport.dish import slab_modes

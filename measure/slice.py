@@ -9,7 +9,7 @@ import numpy as np
 
 from bssrdf.calib import Exposures, Spot
 from bssrdf.errors import InputError
-from bssrdf.fit import Held, held
+from bssrdf.holding import Held, held
 from bssrdf.measure.glints import without_glints
 from bssrdf.measure.image import (
     Image,

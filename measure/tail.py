@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from bssrdf.calib import least_squares
-from bssrdf.fit import HALF_SPACE, NEAR_WALL, Held
+from bssrdf.holding import HALF_SPACE, NEAR_WALL, Held
 from bssrdf.measure.holder import Holder
 from bssrdf.measure.profile import RadialProfile
 from bssrdf.session.records import Array

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from bssrdf.errors import InputError
-from bssrdf.fit import Forward, Making, forward_curve
 from bssrdf.session import MM, atomic_write
+from bssrdf.transport import Forward, Making, forward_curve
 
 CHANNEL = "curve"
 _FROM_MFP, _TO_MFP, _RADII = 0.3, 30.0, 60

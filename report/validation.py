@@ -16,9 +16,19 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from bssrdf.fit import bare_curve, held, sample_ratio, tabulated
+from bssrdf.fit import bare_curve, sample_ratio
+from bssrdf.holding import held
 from bssrdf.session.records import ChannelFit, Fit, Slice
-from bssrdf.transport import DipoleModel, ForwardModel, MonteCarloMedium, dipole, scoped_x64, simulate, table_model
+from bssrdf.transport import (
+    DipoleModel,
+    ForwardModel,
+    MonteCarloMedium,
+    dipole,
+    scoped_x64,
+    simulate,
+    table_model,
+    tabulated,
+)
 from bssrdf.transport.dipole import Medium
 
 PHOTONS = 300_000

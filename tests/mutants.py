@@ -221,9 +221,9 @@ ERRORS = (
     Mutant(
         "an error of η forgets the surface's transmittance in R",
         "fit/laying.py",
-        "aside = xp.log(other.total(e, at.q)[0] / model.total(e, at.q)[0]) / step\n"
+        "aside = xp.log(other().total(e, at.q)[0] / model.total(e, at.q)[0]) / step\n"
         '            response = getattr(sds, error.source) * (aside + (by_eta if error.source == "eta" else 0.0))',
-        "aside = xp.log(other.total(e, at.q)[0] / model.total(e, at.q)[0]) / step\n"
+        "aside = xp.log(other().total(e, at.q)[0] / model.total(e, at.q)[0]) / step\n"
         "            response = getattr(sds, error.source) * aside",
         ("fit_budget::a_share_of_the_budget",),
     ),

@@ -14,7 +14,7 @@ from scipy import optimize, special
 
 from bssrdf.bench import finite_light
 from bssrdf.bench.finite_light import Case
-from bssrdf.fit.models import shipped_table
+from bssrdf.transport import shipped_table
 from bssrdf.transport.arrays import NUMPY, JaxEngine
 from bssrdf.transport.dish import _bessel_k
 from bssrdf.transport.engine import MonteCarloMedium, simulate

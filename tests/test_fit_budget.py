@@ -19,11 +19,11 @@ from bssrdf.fit.batch import Fitted, fit_group
 from bssrdf.fit.intervals import ONE_SIDED, TWO_SIDED, profile
 from bssrdf.fit.jobs import Job, Options
 from bssrdf.fit.laying import look
-from bssrdf.fit.models import shipped_table
 from bssrdf.fit.problem import Point
 from bssrdf.fit.run import FitOptions, fit_slices
 from bssrdf.fit.terms import system, totals_of
 from bssrdf.session.records import ChannelFit, Slice
+from bssrdf.transport import shipped_table
 from bssrdf.transport.arrays import NUMPY
 from bssrdf.transport.convention import camera_factor
 from bssrdf.transport.forward import DipoleModel

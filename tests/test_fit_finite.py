@@ -13,11 +13,12 @@ from bssrdf.bench.finite_light import Case, slice_of
 from bssrdf.errors import InputError
 from bssrdf.fit.compiled import settled
 from bssrdf.fit.jobs import Job, problem_of
-from bssrdf.fit.models import beside_of, shipped_table
+from bssrdf.fit.models import beside_of
 from bssrdf.fit.run import FitOptions, fit_joint, fit_slice, fit_slices
 from bssrdf.fit.solve import settle
 from bssrdf.fit.starts import start
 from bssrdf.session.records import ChannelFit
+from bssrdf.transport import shipped_table
 from bssrdf.transport.arrays import NUMPY
 from bssrdf.transport.light import Light
 

@@ -11,10 +11,10 @@ from bssrdf.bench.camera_light import CameraLight
 from bssrdf.bench.oblique_light import oblique_lights, oblique_slices
 from bssrdf.fit import FitOptions, fit_slices
 from bssrdf.fit.layout import curves_of, sight_of
-from bssrdf.fit.models import shipped_table
 from bssrdf.fit.observe import side_modes, side_of_total
 from bssrdf.rig import SampleMedium
 from bssrdf.session.records import ChannelFit, Slice
+from bssrdf.transport import shipped_table
 from bssrdf.transport.arrays import NUMPY
 from bssrdf.transport.discrete_ordinates import half_spaces
 from bssrdf.transport.exit_radiance import transmittance

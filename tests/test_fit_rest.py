@@ -17,12 +17,13 @@ from bssrdf.bench.trials import Drawn, slices_of
 from bssrdf.fit.batch import Fitted, fit_group
 from bssrdf.fit.compiled import settled
 from bssrdf.fit.jobs import Job, Options
-from bssrdf.fit.models import Making, named
+from bssrdf.fit.models import named
 from bssrdf.fit.neighbours import refitted, table_error
 from bssrdf.fit.problem import Point, Weights
 from bssrdf.fit.run import FitOptions, fit_slices
 from bssrdf.fit.solve import settle
 from bssrdf.session.records import Slice
+from bssrdf.transport import Making
 from bssrdf.transport.arrays import NUMPY, picked
 from bssrdf.transport.dipole import Medium, rd, total_r
 from bssrdf.transport.light import WhiteTable, coefficients

@@ -13,7 +13,8 @@ import pytest
 from builders import film, of_kinds
 from scipy.integrate import quad
 
-from bssrdf.fit import FitOptions, Held, fit_slice
+from bssrdf.fit import FitOptions, fit_slice
+from bssrdf.holding import Held
 from bssrdf.measure.holder import Holder
 from bssrdf.measure.session import measure_session
 from bssrdf.measure.tail import Boundary, Surroundings, Tail, TailOfSample

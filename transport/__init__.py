@@ -20,12 +20,20 @@ if TYPE_CHECKING:
     from bssrdf.transport.incidence import NORMAL as NORMAL
     from bssrdf.transport.incidence import Incidence as Incidence
     from bssrdf.transport.inverse_total import absorption_ratio as absorption_ratio
+    from bssrdf.transport.light_tables import SILENT as SILENT
+    from bssrdf.transport.light_tables import Making as Making
+    from bssrdf.transport.light_tables import has_light_table as has_light_table
+    from bssrdf.transport.light_tables import light_table as light_table
+    from bssrdf.transport.light_tables import shipped_table as shipped_table
+    from bssrdf.transport.light_tables import tabulated as tabulated
     from bssrdf.transport.materials import CHANNELS as CHANNELS
     from bssrdf.transport.materials import Rgb as Rgb
     from bssrdf.transport.materials import find_material as find_material
     from bssrdf.transport.materials import load_materials as load_materials
     from bssrdf.transport.materials import table_check as table_check
     from bssrdf.transport.materials import table_source as table_source
+    from bssrdf.transport.medium_curve import Forward as Forward
+    from bssrdf.transport.medium_curve import forward_curve as forward_curve
     from bssrdf.transport.parallel import Progress as Progress
     from bssrdf.transport.parallel import run_all as run_all
     from bssrdf.transport.precision import scoped_x64 as scoped_x64

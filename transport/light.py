@@ -18,6 +18,8 @@ from bssrdf.transport.white.grid import Q_MAX, Q_ZERO, R_MAX, R_ZERO, RHO_ZERO, 
 
 SMALLEST_Q = 1e-12
 """In place of 0, where √ has no slope; σa/σt′ is then 3e-25."""
+NEAREST_MFP = 1e-3
+"""Radii nearer than this are looked at here: light scattered once goes as 1/r."""
 _EPS = float(np.finfo(float).eps)
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(32)
 _U = (1 + _NODES) / 2

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bssrdf.errors import InputError
-from bssrdf.fit import BLACK
+from bssrdf.holding import BLACK
 from bssrdf.session.records import Material
 from bssrdf.transport import CHANNELS, find_material
 

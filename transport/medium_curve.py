@@ -8,15 +8,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from bssrdf.errors import InputError
-from bssrdf.fit.models import SILENT, Making, table_of_medium
-from bssrdf.fit.observe import NEAREST_MFP
-from bssrdf.session.records import Slice
 from bssrdf.transport.arrays import NUMPY
-from bssrdf.transport.light import Light, dipole, shape_of
+from bssrdf.transport.incidence import NORMAL
+from bssrdf.transport.light import NEAREST_MFP, Light, dipole, shape_of
+from bssrdf.transport.light_tables import SILENT, Making, light_table
+from bssrdf.transport.white.store import ETA_RANGE
 
 Floats = NDArray[np.float64]
-ETA_RANGE = (1.0, 3.0)
-"""Of the tables that can be made."""
 
 
 class Forward(NamedTuple):
@@ -43,9 +41,7 @@ def forward_curve(
     """
     r = np.atleast_1d(np.asarray(r_mm, float))
     _check(r, sigma_a_per_mm, sigma_sp_per_mm, eta, g, model)
-    light: Light = dipole(eta)
-    if model == "mc":
-        light = table_of_medium(Slice({}, eta, "entering", "hemisphere", g=g), "make", making)
+    light: Light = light_table(eta, g, NORMAL, "make", making) if model == "mc" else dipole(eta)
     log_sigma, q = shape_of(sigma_a_per_mm, sigma_sp_per_mm)
     if q > light.q_max:
         raise InputError(
