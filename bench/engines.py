@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bssrdf.bench.bulk import CHANNELS, noisy_slices
-from bssrdf.fit import Fitted, Job, Options, Solution, fit_group, searched
+from bssrdf.fit import FitOptions, Fitted, Job, Solution, fit_group, searched
 from bssrdf.transport import shipped_table
 from bssrdf.transport.light import coefficients
 
@@ -23,7 +23,7 @@ SINGLE_ERROR = 1e-4
 """Relative, of σa and σs′ in float32 where it finds them: 5.9e-5 is the most of 16,384 curves."""
 SINGLE_LOSES = 0.06
 """The share that it does not find, and says so: 684 of those, where one of 24 is of albedo 0.02."""
-_SOFT = Options("soft", scale_free=False, robust=False, window_mm=None, tables="shipped")
+_SOFT = FitOptions(constraint="soft", tables="shipped")
 BATCHES = (256, 2048, 16_384)
 """Curves that go through together: `fit` takes 100 to 650 on a CPU, for its caches; a GPU wants more."""
 Search = Callable[[slice], Solution]

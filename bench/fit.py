@@ -18,7 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from bssrdf.bench.fit_peers import PeerFit, PeerProblem, jaxopt_soft, scipy_exact, scipy_slsqp, scipy_soft, timed
-from bssrdf.fit import Constraint, Job, Options, fit_group
+from bssrdf.fit import Constraint, FitOptions, Job, fit_group
 from bssrdf.session.records import ChannelSlice, Slice
 from bssrdf.transport import CHANNELS, absorption_ratio, load_materials, scoped_x64, shipped_table, table_model
 from bssrdf.transport.dipole import Medium
@@ -144,7 +144,7 @@ def _ours(name: Literal["dipole", "mc"], constraint: Constraint, problem: PeerPr
         Job((_slice(*row, problem.eta),), "X")
         for row in zip(problem.r_mm, problem.rd, problem.sd, problem.total_r, problem.total_r_sd, strict=True)
     ]
-    options = Options(constraint, scale_free=False, robust=False, window_mm=None, tables="shipped")
+    options = FitOptions(constraint=constraint, tables="shipped")
     found: list[np.ndarray] = []
     # as the peers have it: all radii, each weighed by its own error alone
     bare = dipole(ETA)._replace(relative_error=0.0, window_mfp=(0.0, np.inf))

@@ -13,11 +13,10 @@ if TYPE_CHECKING:
     from bssrdf.fit.batch import fit_group as fit_group
     from bssrdf.fit.batch import searched as searched
     from bssrdf.fit.free_g import fit_g as fit_g
+    from bssrdf.fit.jobs import FitOptions as FitOptions
     from bssrdf.fit.jobs import Job as Job
-    from bssrdf.fit.jobs import Options as Options
     from bssrdf.fit.models import RULE as RULE
     from bssrdf.fit.problem import Constraint as Constraint
-    from bssrdf.fit.run import FitOptions as FitOptions
     from bssrdf.fit.run import fit_joint as fit_joint
     from bssrdf.fit.run import fit_slice as fit_slice
     from bssrdf.fit.run import fit_slices as fit_slices

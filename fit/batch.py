@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from bssrdf.fit.compiled import settled
 from bssrdf.fit.errors import SCATTERED, Judged, judge
-from bssrdf.fit.jobs import Job, Options, problem_of
+from bssrdf.fit.jobs import FitOptions, Job, problem_of
 from bssrdf.fit.models import beside_of
 from bssrdf.fit.problem import Neighbours, Plan, Point, Problem
 from bssrdf.fit.solve import MAX_STEPS, NEAR, REST, Solution, optimise, settle
@@ -41,7 +41,7 @@ class Fitted(NamedTuple):
     """A batch with its results, rows in the order of `jobs`."""
 
     jobs: Sequence[Job]
-    options: Options
+    options: FitOptions
     plan: Plan
     model: Light
     beside: Neighbours
@@ -54,7 +54,7 @@ class Fitted(NamedTuple):
 
 def fit_group(
     jobs: Sequence[Job],
-    options: Options,
+    options: FitOptions,
     model: Light,
     *,
     compiled_for: int | None = None,

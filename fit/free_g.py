@@ -10,9 +10,8 @@ import numpy as np
 
 from bssrdf.errors import InputError
 from bssrdf.fit.batch import fit_group
-from bssrdf.fit.jobs import Job, groups_of
+from bssrdf.fit.jobs import FitOptions, Job, groups_of
 from bssrdf.fit.models import named
-from bssrdf.fit.run import FitOptions
 from bssrdf.session.records import Slice
 from bssrdf.transport import SILENT, Making, tabulated
 
@@ -32,15 +31,14 @@ def fit_g(piece: Slice, options: FitOptions, *, making: Making = SILENT) -> Free
     """The g whose table fits all channels of the slice best; InputError where no table ships for its η."""
     if not tabulated(piece.eta, GRID[0]):
         raise InputError(f"eta = {piece.eta:g}: no Monte Carlo tables ship for it, so g cannot be fitted; give --g")
-    asked = options.of_problem
     jobs = [Job((piece,), channel) for channel in piece.channels]
     chi2 = np.zeros(len(GRID))
-    for places, _ in groups_of(jobs, asked):
+    for places, _ in groups_of(jobs, options):
         begin = None  # each g begins where the last one ended
         for at, g in enumerate(GRID):
             members = [Job((replace(piece, g=g),), jobs[place].channel) for place in places]
-            model = named("mc", members[0].pieces[0], asked.tables, making)
-            found = fit_group(members, asked, model, begin=begin).found
+            model = named("mc", members[0].pieces[0], options.tables, making)
+            found = fit_group(members, options, model, begin=begin).found
             chi2[at] += float(found.cost.sum())
             begin = found.point
     return _lowest(GRID, chi2)

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from dataclasses import dataclass
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
 from bssrdf.errors import InputError
 from bssrdf.fit.compiled import FROM
 from bssrdf.fit.layout import Curves, Sight, camera_factor, curves_of, nodes_of, points_of, sight_of, total_of
+from bssrdf.fit.models import ModelName
 from bssrdf.fit.problem import (
     EXIT_MODES,
     OF_MEDIUM,
@@ -35,14 +37,19 @@ MOST_ROWS = 1024
 _BY_TILE: tuple[Source, ...] = ("scale", "length", "view")
 
 
-class Options(NamedTuple):
-    """What the caller asked for, as far as one problem is concerned."""
+@dataclass(frozen=True)
+class FitOptions:
+    """What the caller asked for; None leaves the choice to the data."""
 
-    constraint: Constraint | None
-    scale_free: bool
-    robust: bool
-    window_mm: tuple[float, float] | None
-    tables: Policy
+    model: ModelName = "auto"
+    constraint: Constraint | None = None
+    """None is `soft` where R has an error, `exact` where it has none, `none` where R was not measured."""
+    scale: Literal["given", "free"] = "given"
+    window_mm: tuple[float, float] | None = None
+    robust: bool = False
+    """Huber's loss in place of squares; the fit is flagged."""
+    tables: Policy = "make"
+    """Which Monte Carlo tables may be used: all, those at hand, or those that ship."""
 
 
 class Job(NamedTuple):
@@ -67,7 +74,7 @@ class Cohort(NamedTuple):
     """Rows, where there are so many of the kind that compiling pays."""
 
 
-def groups_of(jobs: Sequence[Job], options: Options) -> list[Cohort]:
+def groups_of(jobs: Sequence[Job], options: FitOptions) -> list[Cohort]:
     """All jobs, each in one cohort."""
     groups: dict[Any, list[int]] = {}
     for at, job in enumerate(jobs):
@@ -81,7 +88,7 @@ def groups_of(jobs: Sequence[Job], options: Options) -> list[Cohort]:
     return found
 
 
-def _rows_of(job: Job, options: Options) -> int:
+def _rows_of(job: Job, options: FitOptions) -> int:
     """How many jobs like this one go through together."""
     curves = [curves_of([piece], [job.channel], options.window_mm) for piece in job.pieces]
     sights = [sight_of(piece, c) for piece, c in zip(job.pieces, curves, strict=True)]
@@ -89,7 +96,7 @@ def _rows_of(job: Job, options: Options) -> int:
     return min(max(POINTS // points, 1), MOST_ROWS)
 
 
-def _of_equal_nodes(jobs: Sequence[Job], places: list[int], options: Options) -> list[list[int]]:
+def _of_equal_nodes(jobs: Sequence[Job], places: list[int], options: FitOptions) -> list[list[int]]:
     """The places by how finely their slices are averaged: a fit must not depend on those beside it."""
     first = jobs[places[0]]
     parts = [piece.channels[first.channel] for piece in first.pieces]
@@ -108,7 +115,7 @@ def _of_equal_nodes(jobs: Sequence[Job], places: list[int], options: Options) ->
     return list(groups.values())
 
 
-def _key(job: Job, options: Options) -> Any:
+def _key(job: Job, options: FitOptions) -> Any:
     """What the jobs of a batch have in common."""
     parts = [piece.channels[job.channel] for piece in job.pieces]
     size = math.ceil(math.log2(max(len(part.r_mm) for part in parts)))
@@ -165,7 +172,7 @@ def _totals_of(job: Job, asked: Constraint | None) -> _Totals:
     return _Totals(exact, tuple(once.values()))
 
 
-def problem_of(jobs: Sequence[Job], options: Options, model: Light, aside: Neighbours) -> tuple[Plan, Problem]:
+def problem_of(jobs: Sequence[Job], options: FitOptions, model: Light, aside: Neighbours) -> tuple[Plan, Problem]:
     """The terms of jobs of one key."""
     first, names = jobs[0], [job.channel for job in jobs]
     pieces = first.pieces
@@ -181,7 +188,7 @@ def problem_of(jobs: Sequence[Job], options: Options, model: Light, aside: Neigh
     plan = Plan(
         totals=totals.places,
         exact=totals.exact,
-        scale_free=options.scale_free,
+        scale_free=options.scale == "free",
         robust=options.robust,
         sights=tuple(sights),
         shared=_shared(first, sights, sds, curves, model, aside),

@@ -3,23 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 
 from bssrdf.errors import InputError
 from bssrdf.fit.batch import Fitted, fit_group, surely_poor
 from bssrdf.fit.intervals import Profile, profile
-from bssrdf.fit.jobs import Job, Options, groups_of
-from bssrdf.fit.models import DIPOLE_BEST, DIPOLE_SHARE, ModelName, Truth, named, table_key, truth_of
+from bssrdf.fit.jobs import FitOptions, Job, groups_of
+from bssrdf.fit.models import DIPOLE_BEST, DIPOLE_SHARE, Truth, named, table_key, truth_of
 from bssrdf.fit.neighbours import TableSays, bias, dipole_on_light, refitted, sample_error, sensitivities, table_error
-from bssrdf.fit.problem import Constraint
 from bssrdf.fit.sample_verdict import thin_rows
 from bssrdf.fit.verdict import FEWEST, Extra, channel_fits, needs_profile, relative_sds
 from bssrdf.session.flags import Flag
 from bssrdf.session.records import ChannelFit, Slice
-from bssrdf.transport import NORMAL, SILENT, Making, Policy, has_light_table, shipped_table, tabulated
+from bssrdf.transport import NORMAL, SILENT, Making, has_light_table, shipped_table, tabulated
 from bssrdf.transport.arrays import picked
 from bssrdf.transport.light import Light, WhiteTable, coefficients, dipole
 
@@ -28,26 +25,6 @@ ETA_AWAY = 0.1
 """Tried where a curve does not fit: does another g or η?"""
 MUCH_BETTER = 0.5
 """Of χ²: below this share another g or η is more likely than the one given."""
-
-
-@dataclass(frozen=True)
-class FitOptions:
-    """What the caller asked for; None leaves the choice to the data."""
-
-    model: ModelName = "auto"
-    constraint: Constraint | None = None
-    """None is `soft` where R has an error, `exact` where it has none, `none` where R was not measured."""
-    scale: Literal["given", "free"] = "given"
-    window_mm: tuple[float, float] | None = None
-    robust: bool = False
-    """Huber's loss in place of squares; the fit is flagged."""
-    tables: Policy = "make"
-    """Which Monte Carlo tables may be used: all, those at hand, or those that ship."""
-
-    @property
-    def of_problem(self) -> Options:
-        """What concerns one problem."""
-        return Options(self.constraint, self.scale == "free", self.robust, self.window_mm, self.tables)
 
 
 DEFAULT = FitOptions()
@@ -106,13 +83,13 @@ def _fit_jobs(jobs: Sequence[Job], options: FitOptions, making: Making) -> list[
 
 def batches(jobs: Sequence[Job], options: FitOptions, making: Making) -> Iterator[tuple[list[int], Fitted]]:
     """Batches with the places of their jobs, by the model asked for; with auto the dipole where it will do."""
-    for places, rows in groups_of(jobs, options.of_problem):
+    for places, rows in groups_of(jobs, options):
         members, piece = [jobs[at] for at in places], jobs[places[0]].pieces[0]
         auto, name = options.model == "auto", options.model
         if name == "auto":
             name = "mc" if has_light_table(*table_key(piece), options.tables) else "dipole"
         model = named(name, piece, options.tables, making)
-        fitted = fit_group(members, options.of_problem, model, compiled_for=rows)
+        fitted = fit_group(members, options, model, compiled_for=rows)
         simple = np.flatnonzero(_dipole_will_do(fitted)) if auto and not model.biased else np.array([])
         if not simple.size:
             yield places, fitted
@@ -121,7 +98,7 @@ def batches(jobs: Sequence[Job], options: FitOptions, making: Making) -> Iterato
         if rest.size:
             yield [places[row] for row in rest], _subset(fitted, rest)
         others = [members[row] for row in simple]
-        again = fit_group(others, options.of_problem, dipole(piece.eta), compiled_for=rows)
+        again = fit_group(others, options, dipole(piece.eta), compiled_for=rows)
         yield [places[row] for row in simple], again
 
 

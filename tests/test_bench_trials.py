@@ -10,7 +10,7 @@ import pytest
 
 from bssrdf.bench.trial_light import TrialLight, cells, edges_mm, more, shipped
 from bssrdf.bench.trials import KEYS, Drawn, Outcome, cramer_rao, noise_of, outcome_of, run_trials, slices_of, table
-from bssrdf.fit.run import FitOptions, fit_slices
+from bssrdf.fit import FitOptions, fit_slices
 from bssrdf.session.records import ChannelFit, ChannelSlice, Slice
 
 NAMES = ("Chicken1 G", "Chicken1 B", "Chicken2 G", "Ketchup R")

@@ -11,7 +11,7 @@ from builders import OF_TWO_CODES, changed, curve, curve_slice, model_slice
 from scipy.optimize import least_squares
 
 from bssrdf.errors import InputError
-from bssrdf.fit.run import FitOptions, fit_slice, fit_slices
+from bssrdf.fit import FitOptions, fit_slice, fit_slices
 from bssrdf.session.records import ChannelFit, Slice
 from bssrdf.transport import dipole, light
 from bssrdf.transport.dipole import Medium

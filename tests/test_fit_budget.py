@@ -17,10 +17,10 @@ from scipy.stats import norm
 
 from bssrdf.fit.batch import Fitted, fit_group
 from bssrdf.fit.intervals import ONE_SIDED, TWO_SIDED, profile
-from bssrdf.fit.jobs import Job, Options
+from bssrdf.fit.jobs import FitOptions, Job
 from bssrdf.fit.laying import look
 from bssrdf.fit.problem import Point
-from bssrdf.fit.run import FitOptions, fit_slices
+from bssrdf.fit.run import fit_slices
 from bssrdf.fit.terms import system, totals_of
 from bssrdf.session.records import ChannelFit, Slice
 from bssrdf.transport import shipped_table
@@ -145,7 +145,7 @@ def vaguely_seen(sigma_a: float, sd: float) -> Fitted:
     factor = camera_factor(ETA, **seen, view_angle_deg=0.0, incidence_deg=0.0)
     known = slice_of(R_MM, factor * rd, total_r=factor * total_r, total_sd=SDS["total"], **seen, eta=ETA, g=G)
     channel = replace(known.channels["G"], sd_per_mm2=sd * factor * rd)
-    options = Options("soft", scale_free=False, robust=False, window_mm=None, tables="shipped")
+    options = FitOptions(constraint="soft", tables="shipped")
     return fit_group([Job((replace(known, channels={"G": channel}),), "G")], options, shipped_table(ETA, G))
 
 

@@ -11,10 +11,10 @@ import pytest
 from bssrdf.bench import finite_light
 from bssrdf.bench.finite_light import Case, slice_of
 from bssrdf.errors import InputError
+from bssrdf.fit import FitOptions, fit_joint, fit_slice, fit_slices
 from bssrdf.fit.compiled import settled
 from bssrdf.fit.jobs import Job, problem_of
 from bssrdf.fit.models import beside_of
-from bssrdf.fit.run import FitOptions, fit_joint, fit_slice, fit_slices
 from bssrdf.fit.solve import settle
 from bssrdf.fit.starts import start
 from bssrdf.session.records import ChannelFit

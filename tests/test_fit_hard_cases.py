@@ -14,7 +14,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from bssrdf.errors import InputError
-from bssrdf.fit.run import FitOptions, fit_slices
+from bssrdf.fit import FitOptions, fit_slices
 from bssrdf.fit.terms import solved
 from bssrdf.session.records import ChannelFit, ChannelSlice, Slice
 from bssrdf.transport.forward import DipoleModel

@@ -13,7 +13,7 @@ from builders import model_slice
 from bssrdf.cli import cli
 from bssrdf.commands.console import run
 from bssrdf.errors import InputError
-from bssrdf.fit.run import FitOptions, fit_joint, fit_slice
+from bssrdf.fit import FitOptions, fit_joint, fit_slice
 from bssrdf.session.records import ChannelSlice, Slice
 from bssrdf.session.slice_csv import write_slice
 from bssrdf.transport.forward import DipoleModel

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from builders import OF_TWO_CODES, curve, curve_slice, seen_slice, slice_of
 
+from bssrdf.fit import FitOptions, fit_slices
 from bssrdf.fit.free_g import fit_g
-from bssrdf.fit.run import FitOptions, fit_slices
 from bssrdf.session.records import ChannelFit, Slice
 from bssrdf.transport.convention import camera_factor
 from bssrdf.transport.dipole import Medium

@@ -16,11 +16,11 @@ from bssrdf.bench.trial_light import shipped
 from bssrdf.bench.trials import Drawn, slices_of
 from bssrdf.fit.batch import Fitted, fit_group
 from bssrdf.fit.compiled import settled
-from bssrdf.fit.jobs import Job, Options
+from bssrdf.fit.jobs import FitOptions, Job
 from bssrdf.fit.models import named
 from bssrdf.fit.neighbours import refitted, table_error
 from bssrdf.fit.problem import Point, Weights
-from bssrdf.fit.run import FitOptions, fit_slices
+from bssrdf.fit.run import fit_slices
 from bssrdf.fit.solve import settle
 from bssrdf.session.records import Slice
 from bssrdf.transport import Making
@@ -30,7 +30,7 @@ from bssrdf.transport.light import WhiteTable, coefficients
 from bssrdf.transport.white.grid import R_ZERO, V_MAX
 from bssrdf.transport.white.store import table_model
 
-PLAIN = Options("soft", scale_free=False, robust=False, window_mm=None, tables="shipped")
+PLAIN = FitOptions(constraint="soft", tables="shipped")
 
 
 def trial(name: str = "Skin1 G", seed: int = 1) -> Slice:
@@ -44,7 +44,7 @@ def seen(sigma_a: float, sigma_sp: float) -> Slice:
     return seen_slice(sigma_a, sigma_sp, **spot, scale_rel_sd=0.005, mm_rel_sd=0.002)
 
 
-def fitted(pieces: Sequence[Slice], name: Literal["mc", "dipole"] = "mc", options: Options = PLAIN) -> Fitted:
+def fitted(pieces: Sequence[Slice], name: Literal["mc", "dipole"] = "mc", options: FitOptions = PLAIN) -> Fitted:
     model = named(name, pieces[0], options.tables, Making())
     return fit_group([Job((piece,), "G") for piece in pieces], options, model)
 

@@ -12,7 +12,7 @@ from builders import changed, slice_of, with_rd
 
 from bssrdf.bench.trial_light import TrialLight, edges_mm, shipped
 from bssrdf.bench.trials import Drawn, slices_of
-from bssrdf.fit.run import FitOptions, fit_slices
+from bssrdf.fit import FitOptions, fit_slices
 from bssrdf.report.table import fits_table
 from bssrdf.report.text import fit_text
 from bssrdf.session.records import ChannelFit, ChannelSlice, Fit, Slice

@@ -13,7 +13,7 @@ import pytest
 from bssrdf.cli import cli
 from bssrdf.commands.console import run
 from bssrdf.errors import InputError
-from bssrdf.fit.run import FitOptions, fit_joint, fit_slice
+from bssrdf.fit import FitOptions, fit_joint, fit_slice
 from bssrdf.session.keys import ANGLE, Key, checked_keys, keys_of
 from bssrdf.session.records import ChannelSlice, Slice
 from bssrdf.session.slice_csv import read_slice, write_slice

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from bssrdf.bench import finite_light
-from bssrdf.fit.run import FitOptions, fit_slice
+from bssrdf.fit import FitOptions, fit_slice
 from bssrdf.report import validation
 from bssrdf.report.validation import validate
 from bssrdf.session.records import ChannelFit, ChannelSlice, Fit, Slice
