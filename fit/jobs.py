@@ -14,10 +14,7 @@ from bssrdf.fit.compiled import FROM
 from bssrdf.fit.layout import Curves, Sight, camera_factor, curves_of, nodes_of, points_of, sight_of, total_of
 from bssrdf.fit.models import ModelName
 from bssrdf.fit.problem import (
-    EXIT_MODES,
     OF_MEDIUM,
-    SIDE_MODES,
-    TABLE_MODES,
     Constraint,
     Neighbours,
     Plan,
@@ -30,6 +27,7 @@ from bssrdf.holding import Held, held, samples_of
 from bssrdf.session.records import Slice
 from bssrdf.transport import Policy
 from bssrdf.transport.light import Light
+from bssrdf.transport.light_errors import EXIT_MODES, SIDE_MODES, TABLE_MODES
 
 POINTS = 130_000
 """Radii that a batch looks at together: more would not fit the caches, with fewer each call of NumPy costs too much."""

@@ -7,38 +7,17 @@ a look and moves little is laid at a point and used near it. Shapes as in `probl
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import reduce
 from typing import Any
 
 import numpy as np
 
-from bssrdf.fit.observe import (
-    QuadratureNodes,
-    averaged,
-    exit_modes,
-    nodes,
-    plain,
-    seen_at,
-    side_modes,
-    side_of_total,
-    total_seen,
-)
-from bssrdf.fit.problem import (
-    OF_CURVE,
-    OF_MEDIUM,
-    OF_SAMPLE,
-    TABLE_MODES,
-    TABLE_SHARED,
-    Laid,
-    Looked,
-    Neighbours,
-    Plan,
-    Point,
-    Problem,
-)
-from bssrdf.transport import R_ZERO
+from bssrdf.fit.observe import QuadratureNodes, averaged, middles, nodes, plain, seen_at, total_seen
+from bssrdf.fit.problem import OF_CURVE, OF_MEDIUM, Laid, Looked, Neighbours, Plan, Point, Problem, Source
 from bssrdf.transport.arrays import Engine
-from bssrdf.transport.light import KNOT_STEP, NEAREST_MFP, Light
+from bssrdf.transport.light import NEAREST_MFP, Light
+from bssrdf.transport.light_errors import exit_modes, side_modes, side_of_total, table_modes
 from bssrdf.transport.sample_light import curve_off, further, sampled, total_look
 
 SLOPE_Q = 1e-4
@@ -145,95 +124,87 @@ def _responses(
     e: Engine, plan: Plan, model: Light, data: Problem, laid: Laid, at: Point, looks: Any, beside: Neighbours, k: int
 ) -> Any:
     """(b, K, u) of ln of slice k's curve."""
-    xp = e.xp
-    c, sds, sight = data.curves[k], data.sds[k], plan.sights[k]
-    sigma = xp.exp(at.log_sigma)
-    one = xp.ones_like(c.r_lo)
-    view, by_eta = data.factor_slopes[k]
+    c, sds, sight, sample = data.curves[k], data.sds[k], plan.sights[k], laid.samples[k]
+    by_view, by_eta = data.factor_slopes[k]
     tilt = float(np.sqrt(1 - sight.cos_view**2)) / sight.cos_view
-    waves = exits = sides = None
-    columns = []
-    for error in plan.shared:
-        if k not in error.slices:
-            response = 0 * one
-        elif error.source == "scale":
-            response = sds.scale * one
-        elif error.source == "length":
-            response = _relative(xp, looks[k][1], looks[k][0])
-            if laid.samples[k]:  # the scale of the picture is not that of the sample's depth
-                response = response - laid.samples[k].by_lengths
-            response = sds.length * response
-        elif error.source == "view":
-            response = sds.view * (tilt + view) * one
-        elif error.source in OF_SAMPLE:
-            response = getattr(laid.samples[k], f"by_{error.source}")
-        elif error.source == "ratio":
-            response = curve_off(laid.samples[k])
-        elif error.source == "exit":
-            exits = exits or exit_modes(e, sight, model, c, sigma)
-            response = exits[error.mode]
-        elif error.source == "side":
-            sides = sides or side_modes(e, sight, model, c, sigma, at.q)
-            response = sides[error.mode]
-        elif error.source == "table":
-            waves = waves or _waves(e, model, data, sigma, at.q, k)
-            response = waves[error.mode]
-        elif error.source == "spot":
-            wider = seen_at(
-                e, sight, model, c._replace(spot_radius=c.spot_radius * (1 + SPOT_STEP)), at.log_sigma, at.q
-            )
-            response = sds.spot * (wider.log_ratio - laid.seen[k].log_ratio) / SPOT_STEP
-        else:
-            other, step = beside[error.source]
-            aside = curve(e, plan, other(), laid, at, k)[0]
-            aside = xp.log(xp.maximum(_relative(xp, aside, looks[k][0]), TINY)) / step
-            response = getattr(sds, error.source) * (aside + (by_eta if error.source == "eta" else 0.0))
-        columns.append(response)
-    return xp.stack(columns, axis=1) if columns else xp.zeros((one.shape[0], 0, one.shape[1]))
 
+    def lengths() -> Any:
+        response = _relative(e, looks[k][1], looks[k][0])
+        # the scale of the picture is not that of the sample's depth
+        return sds.length * (response - sample.by_lengths if sample else response)
 
-def _relative(xp: Any, part: Any, value: Any) -> Any:
-    """part/value; 1 where the curve has sunk to 0."""
-    return xp.where(value > 0, part, 1.0) / xp.where(value > 0, value, 1.0)
+    def spot() -> Any:
+        wider = c._replace(spot_radius=c.spot_radius * (1 + SPOT_STEP))
+        moved = seen_at(e, sight, model, wider, at.log_sigma, at.q).log_ratio - laid.seen[k].log_ratio
+        return sds.spot * moved / SPOT_STEP
 
+    def aside(source: str) -> Any:
+        made, step = beside[source]
+        there = curve(e, plan, made(), laid, at, k)[0]
+        return e.xp.log(e.xp.maximum(_relative(e, there, looks[k][0]), TINY)) / step
 
-def _waves(e: Engine, model: Light, data: Problem, sigma: Any, q: Any, k: int) -> list[Any]:
-    """The table's noise along slice k: cosines over the extent of all data, as the table counts radii."""
-    xp = e.xp
-    inner = reduce(xp.minimum, [c.reach[:, :1] for c in data.curves])
-    outer = reduce(xp.maximum, [c.reach[:, 1:] for c in data.curves])
-    lo, hi = (xp.log1p(sigma * xp.where(outer > 0, each, 0.0) / R_ZERO) for each in (inner, outer))
-    span = xp.maximum(hi - lo, KNOT_STEP)
-    x = xp.maximum(sigma * (data.curves[k].r_lo + data.curves[k].r_hi) / 2, NEAREST_MFP)
-    first = xp.cos(np.pi * xp.clip((xp.log1p(x / R_ZERO) - lo) / span, 0, 1))
-    level = TABLE_SHARED * model.shape_sd(e, q, x)
-    cosines = [1 + 0 * first, first]
-    while len(cosines) < TABLE_MODES:
-        cosines.append(2 * first * cosines[-1] - cosines[-2])
-    return [level * (cosine if j == 0 else np.sqrt(2) * cosine) for j, cosine in enumerate(cosines)]
+    def table() -> tuple[Any, ...]:
+        inner = reduce(e.xp.minimum, [each.reach[:, :1] for each in data.curves])
+        outer = reduce(e.xp.maximum, [each.reach[:, 1:] for each in data.curves])
+        first, last = (e.xp.exp(at.log_sigma) * e.xp.where(outer > 0, each, 0.0) for each in (inner, outer))
+        return table_modes(e, model, at.q, middles(e, c, at.log_sigma), first, last)
+
+    modes: _Modes = {
+        "scale": lambda: (sds.scale,),
+        "length": lambda: (lengths(),),
+        "spot": lambda: (spot(),),
+        "view": lambda: (sds.view * (tilt + by_view),),
+        "exit": lambda: exit_modes(e, model, sight.cos_view, middles(e, c, at.log_sigma), c.arc),
+        "side": lambda: side_modes(e, model, sight.cos_view, sight.slant, at.q, middles(e, c, at.log_sigma), c.arc),
+        "table": table,
+        "eta": lambda: (sds.eta * (aside("eta") + by_eta),),
+        "g": lambda: (sds.g * aside("g"),),
+        "thickness": lambda: (sample.by_thickness,),
+        "back": lambda: (sample.by_back,),
+        "ratio": lambda: (curve_off(sample),),
+    }
+    columns = _columns(plan, modes, e.xp.zeros_like(c.r_lo), k)
+    return e.xp.stack(columns, axis=1) if columns else e.xp.zeros((c.r_lo.shape[0], 0, c.r_lo.shape[1]))
 
 
 def _total_responses(
     e: Engine, plan: Plan, model: Light, data: Problem, laid: Laid, at: Point, beside: Neighbours, k: int
 ) -> Any:
     """(b, K) of ln R of slice k."""
-    xp = e.xp
-    sds = data.sds[k]
-    view, by_eta = data.factor_slopes[k]
-    columns = []
-    for error in plan.shared:
-        response = 0.0 * at.q
-        if k in error.slices and error.source == "scale":
-            response = sds.scale + 0 * at.q
-        elif k in error.slices and error.source == "view":
-            response = sds.view * view + 0 * at.q
-        elif k in error.slices and error.source == "side":
-            response = side_of_total(plan.sights[k], model, at.q)[error.mode]
-        elif k in error.slices and error.source in OF_SAMPLE:
-            response = getattr(laid.samples[k], f"total_by_{error.source}")
-        elif k in error.slices and error.source in ("eta", "g"):
-            other, step = beside[error.source]
-            aside = xp.log(other().total(e, at.q)[0] / model.total(e, at.q)[0]) / step
-            response = getattr(sds, error.source) * (aside + (by_eta if error.source == "eta" else 0.0))
-        columns.append(response)
-    return xp.concatenate(columns, axis=1) if columns else xp.zeros((at.q.shape[0], 0))
+    sds, sample = data.sds[k], laid.samples[k]
+    by_view, by_eta = data.factor_slopes[k]
+
+    def aside(source: str) -> Any:
+        made, step = beside[source]
+        return e.xp.log(made().total(e, at.q)[0] / model.total(e, at.q)[0]) / step
+
+    modes: _Modes = {
+        "scale": lambda: (sds.scale,),
+        "view": lambda: (sds.view * by_view,),
+        "side": lambda: side_of_total(model, plan.sights[k].slant, at.q),
+        "eta": lambda: (sds.eta * (aside("eta") + by_eta),),
+        "g": lambda: (sds.g * aside("g"),),
+        "thickness": lambda: (sample.total_by_thickness,),
+        "back": lambda: (sample.total_by_back,),
+    }
+    columns = _columns(plan, modes, 0.0 * at.q, k)
+    return e.xp.concatenate(columns, axis=1) if columns else e.xp.zeros((at.q.shape[0], 0))
+
+
+_Modes = dict[Source, Callable[[], tuple[Any, ...]]]
+"""By source what one sd of each mode does."""
+
+
+def _columns(plan: Plan, modes: _Modes, zero: Any, k: int) -> list[Any]:
+    """A column for each shared error: 0 where slice k, or this datum of it, has none of it."""
+    touching = {each.source for each in plan.shared if k in each.slices and each.source in modes}
+    made = {source: modes[source]() for source in touching}
+    return [
+        zero + made[each.source][each.mode] if each.source in made and k in each.slices else zero
+        for each in plan.shared
+    ]
+
+
+def _relative(e: Engine, part: Any, value: Any) -> Any:
+    """part/value; 1 where the curve has sunk to 0."""
+    return e.xp.where(value > 0, part, 1.0) / e.xp.where(value > 0, value, 1.0)

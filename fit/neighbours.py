@@ -16,11 +16,12 @@ from bssrdf.fit.errors import Judged, judge
 from bssrdf.fit.laying import TINY, lay, look
 from bssrdf.fit.layout import Total
 from bssrdf.fit.models import Truth
+from bssrdf.fit.observe import middles
 from bssrdf.fit.problem import Laid, Neighbours, Plan, Point, Problem, Weights
 from bssrdf.fit.solve import Solution, optimise, settle
 from bssrdf.transport import R_ZERO, V_MAX
 from bssrdf.transport.arrays import NUMPY, picked
-from bssrdf.transport.light import NEAREST_MFP, Light, WhiteTable, coefficients, dipole, shape_of
+from bssrdf.transport.light import Light, WhiteTable, coefficients, dipole, shape_of
 from bssrdf.transport.sample_light import curve_off, total_off
 
 Floats = NDArray[np.float64]
@@ -55,8 +56,7 @@ def table_error(model: WhiteTable, data: Problem, found: Solution, judged: Judge
     knots = model.log_curve_sd.shape[1]
     by_knot = np.zeros((2, q.shape[0] * knots))
     for k, c in enumerate(data.curves):
-        x = np.maximum(np.exp(found.point.log_sigma) * (c.r_lo + c.r_hi) / 2, NEAREST_MFP)
-        t = np.clip(np.log1p(x / R_ZERO) / V_MAX, 0, 1) * (knots - 1)
+        t = np.clip(np.log1p(middles(E, c, found.point.log_sigma) / R_ZERO) / V_MAX, 0, 1) * (knots - 1)
         at = np.minimum(t.astype(int), knots - 2)
         moved, ahead = to_log(found.point.q) @ judged.answer[k], t - at
         left = (at + knots * np.arange(q.shape[0])[:, None]).ravel()

@@ -15,25 +15,6 @@ from bssrdf.transport.light import NEAREST_MFP, Light, Look, exit_norm, transmit
 
 _DARKEST = 1e-6
 """What the exit law falls to at least, where it is a fit that may run below 0 right at the beam."""
-EXIT_NEAR_MFP = 0.5
-EXIT_BENDS_MFP = 0.2, 4.0
-"""From the first to the second radius the departure turns round."""
-EXIT_NEAR, EXIT_NEAR_STEEP, EXIT_NEAR_BY_G = 0.015, 0.14, 1.5
-"""Of the light towards a camera at EXIT_NEAR_MFP; the second times sin⁴ of the view inside, all times 1 + the third g².
-It falls as the radius: a walk scored at a right angle to the view (bench/camera_walk.py) lies 2 to 8 % off at 0.3 mean
-free paths, 1 to 2 % at 1."""
-EXIT_NEAR_ASKEW = 0.08
-"""The same across the plane of an oblique beam, times 1 − g²: its table has no harmonic beyond the sixth, and walks lie
-5 to 12 % below it at 0.6 mean free paths, 2 to 6 % at 1 (bench/oblique_light.py)."""
-EXIT_PIVOT_MFP = 5.0
-SIDE_NEAR_MFP = 0.22
-SIDE_NEAR, SIDE_MEAN, SIDE_TOTAL = (1.0, 3.0), (0.3, 2.2), (0.17, 1.5)
-"""How far what a camera sees from one side of an oblique beam may lie from the mean of both, over `Sight.slant`: at x
-mean free paths the first over x + SIDE_NEAR_MFP, for means over azimuths the second too, of R the third times √|g|. The
-second number of each counts by 1 − α′. Walks at 20 to 60°, g 0 to 0.8, α′ 0.67 to 0.98 have 0.4 to 0.9 times as much:
-a camera stands in the beam's plane more often than not, where all go one way."""
-SIDE_TOGETHER = 0.9
-"""Correlation of what the side does to R and to a mean over azimuths."""
 _FINE = np.polynomial.legendre.leggauss(12)
 _COARSE = np.polynomial.legendre.leggauss(3)
 
@@ -185,52 +166,6 @@ def total_seen(e: Engine, sight: Sight, model: Light, q: Any) -> Any:
     return model.total_radiance_factor(e, q, sight.cos_view) / law
 
 
-def exit_rel_sd(e: Engine, model: Light, c: Curves, sigma: Any) -> Any:
-    """What the exit law may be off by at each radius; all azimuths together it is known better."""
-    xp = e.xp
-    x = xp.maximum(sigma * (c.r_lo + c.r_hi) / 2, NEAREST_MFP)
-    return model.exit_error_mfp / x * xp.abs(xp.sinc(2 * c.arc / np.pi))
-
-
-def exit_modes(e: Engine, sight: Sight, model: Light, c: Curves, sigma: Any) -> tuple[Any, ...]:
-    """What the exit law may be off by at all radii together: by the same, by what grows as ln r, and near the beam by
-    what falls as the radius, to one side and from one side to the other."""
-    xp = e.xp
-    x = xp.maximum(sigma * (c.r_lo + c.r_hi) / 2, NEAREST_MFP)
-    across = xp.abs(xp.sinc(2 * c.arc / np.pi))
-    amplitude = model.exit_error * xp.ones_like(x)
-    near = EXIT_NEAR + EXIT_NEAR_STEEP * ((1 - sight.cos_view**2) / model.eta**2) ** 2
-    near = near * (1 + EXIT_NEAR_BY_G * getattr(model, "g", 0.0) ** 2)
-    near = near + (
-        EXIT_NEAR_ASKEW * (1 - getattr(model, "g", 0.0) ** 2) if getattr(model, "sin_beam", 0.0) > 0 else 0.0
-    )
-    near = near * across * EXIT_NEAR_MFP / xp.maximum(x, EXIT_NEAR_MFP / 2)
-    first, last = EXIT_BENDS_MFP
-    turn = xp.cos(np.pi * xp.clip(xp.log(x / first) / np.log(last / first), 0, 1))
-    grows = xp.log(x / EXIT_PIVOT_MFP) / np.log(EXIT_PIVOT_MFP)
-    return amplitude, amplitude * grows, near, near * np.sqrt(2) * turn
-
-
-def side_modes(e: Engine, sight: Sight, model: Light, c: Curves, sigma: Any, q: Any) -> tuple[Any, ...]:
-    """What the camera's side of an oblique beam, which no slice says, may do to the curve: near the beam; to a mean
-    over all azimuths at all radii, by the same and by what grows as ln r, and by light scattered once, whose side is
-    known but for the camera's. What it does to R is apart."""
-    xp = e.xp
-    x = xp.maximum(sigma * (c.r_lo + c.r_hi) / 2, NEAREST_MFP)
-    near = _of_side(sight, SIDE_NEAR, q) / (x + SIDE_NEAR_MFP)
-    circle = 1 - xp.abs(xp.sinc(2 * c.arc / np.pi))
-    mean = _of_side(sight, SIDE_MEAN, q) * circle
-    grows = xp.log(x / EXIT_PIVOT_MFP) / np.log(EXIT_PIVOT_MFP)
-    once = model.first_by_side(e, q, x, sight.cos_view)
-    return near, mean, mean * grows, *(each * circle for each in once), 0.0 * x
-
-
-def side_of_total(sight: Sight, model: Light, q: Any) -> tuple[Any, ...]:
-    """The same of R, which goes mostly with a mean over all azimuths: it is the light under it. Nothing where
-    scattering forgets where light came from."""
-    off = _of_side(sight, SIDE_TOTAL, q) * np.sqrt(abs(getattr(model, "g", 0.0)))
-    return 0 * off, SIDE_TOGETHER * off, 0 * off, 0 * off, 0 * off, float(np.sqrt(1 - SIDE_TOGETHER**2)) * off
-
-
-def _of_side(sight: Sight, level: tuple[float, float], q: Any) -> Any:
-    return sight.slant * (level[0] + level[1] * q * q / 3)
+def middles(e: Engine, c: Curves, log_sigma: Any) -> Any:
+    """The middle of each annulus in mean free paths."""
+    return e.xp.maximum(e.xp.exp(log_sigma) * (c.r_lo + c.r_hi) / 2, NEAREST_MFP)

@@ -14,19 +14,9 @@ from bssrdf.transport.light import Light
 
 Constraint = Literal["exact", "soft", "none"]
 Source = Literal["scale", "length", "spot", "view", "exit", "side", "table", "eta", "g", "thickness", "back", "ratio"]
-TABLE_MODES = 4
-"""Cosines along ln r by which a table's own noise is shared: more are too fine to look like a change of σa or σs′."""
-TABLE_SHARED = 0.65
-"""Size of each over the table's standard error at a radius: one photon of its walk lights many radii. 26 walks of 2e7
-to 1e9 photons (rig.sim.peel_off_lanes) lie so far off; were the knots independent it would be 0.2."""
-EXIT_MODES = 4
-"""Amplitude, slope in ln r, and two that fall as the radius."""
-SIDE_MODES = 6
-"""The camera's side of an oblique beam: of the curve near the beam, of a mean over azimuths four, and last of R."""
 AT_0 = 1e-6
 """Of q: σa is then below 1e-12 of σs′."""
 OF_MEDIUM: tuple[Source, ...] = ("eta", "g")
-OF_SAMPLE: tuple[Source, ...] = ("thickness", "back")
 OF_CURVE: tuple[Source, ...] = ("length", *OF_MEDIUM)
 """Errors whose responses ask for the curve itself."""
 

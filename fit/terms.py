@@ -12,10 +12,11 @@ import numpy as np
 
 from bssrdf.fit.laying import TINY
 from bssrdf.fit.layout import Curves
-from bssrdf.fit.observe import exit_rel_sd
+from bssrdf.fit.observe import middles
 from bssrdf.fit.problem import Gaps, Laid, Looked, Plan, Point, Problem, System, Weights
 from bssrdf.transport.arrays import Engine
 from bssrdf.transport.light import Light
+from bssrdf.transport.light_errors import exit_rel_sd
 from bssrdf.transport.q_root import q_of_total
 from bssrdf.transport.sample_light import curve_off, q_of_sample, total_off
 
@@ -119,7 +120,8 @@ def model_sd(e: Engine, plan: Plan, model: Light, data: Problem, laid: Laid, at:
     if laid.samples[k]:
         relative = e.xp.hypot(relative, 2 * curve_off(laid.samples[k]))
     if plan.sights[k].camera:
-        relative = e.xp.hypot(relative, exit_rel_sd(e, model, data.curves[k], e.xp.exp(at.log_sigma)))
+        c = data.curves[k]
+        relative = e.xp.hypot(relative, exit_rel_sd(e, model, middles(e, c, at.log_sigma), c.arc))
     return value * relative
 
 

@@ -193,15 +193,15 @@ ERRORS = (
     Mutant(
         "(a) a length error forgets R_d's 1/mm²",
         "fit/laying.py",
-        "response = _relative(xp, looks[k][1], looks[k][0])",
-        "response = _relative(xp, looks[k][1], looks[k][0]) - 2",
+        "response = _relative(e, looks[k][1], looks[k][0])",
+        "response = _relative(e, looks[k][1], looks[k][0]) - 2",
         ("fit::a_length_error_moves_both", "fit_budget::a_share_of_the_budget"),
     ),
     Mutant(
         "(b) an error of scale leaves R where it is",
         "fit/laying.py",
-        "response = sds.scale + 0 * at.q",
-        "response = 0 * at.q",
+        '(sds.scale,),\n        "view": lambda: (sds.view * by_view',
+        '(0.0,),\n        "view": lambda: (sds.view * by_view',
         ("fit_budget::a_share_of_the_budget",),
     ),
     Mutant(
@@ -214,17 +214,17 @@ ERRORS = (
     Mutant(
         "an error of the view angle forgets the pixels' foreshortening",
         "fit/laying.py",
-        "response = sds.view * (tilt + view) * one",
-        "response = sds.view * view * one",
+        "sds.view * (tilt + by_view)",
+        "sds.view * by_view + 0",
         ("fit_budget::a_share_of_the_budget",),
     ),
     Mutant(
         "an error of η forgets the surface's transmittance in R",
         "fit/laying.py",
-        "aside = xp.log(other().total(e, at.q)[0] / model.total(e, at.q)[0]) / step\n"
-        '            response = getattr(sds, error.source) * (aside + (by_eta if error.source == "eta" else 0.0))',
-        "aside = xp.log(other().total(e, at.q)[0] / model.total(e, at.q)[0]) / step\n"
-        "            response = getattr(sds, error.source) * aside",
+        'lambda: (sds.eta * (aside("eta") + by_eta),),\n'
+        '        "g": lambda: (sds.g * aside("g"),),\n        "thickness": lambda: (sample.total',
+        'lambda: (sds.eta * aside("eta"),),\n'
+        '        "g": lambda: (sds.g * aside("g"),),\n        "thickness": lambda: (sample.total',
         ("fit_budget::a_share_of_the_budget",),
     ),
     Mutant(
