@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from bssrdf.render.material import RenderMaterial as RenderMaterial
     from bssrdf.render.material import find_medium as find_medium
     from bssrdf.render.mesh_file import read_mesh as read_mesh
-    from bssrdf.render.passes import relative_noise as relative_noise
     from bssrdf.render.picture import EPSILON as EPSILON
     from bssrdf.render.picture import WHITE_PERCENTILE as WHITE_PERCENTILE
     from bssrdf.render.picture import Picture as Picture

@@ -84,8 +84,8 @@ def render(
         warnings.warn(f"{stage.name}: the picture is black; no light reaches what the camera sees", stacklevel=2)
     compile_s = max(0.0, times[0] - times[1])
     return Picture(
-        passes.mean.astype(np.float32),
-        passes.variance().astype(np.float32),
+        passes.mean,
+        passes.variance(),
         round(float(passes.samples.mean())),
         sum(times) - compile_s,
         compile_s,
