@@ -15,13 +15,10 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import PchipInterpolator
 
 from bssrdf.errors import InputError
 from bssrdf.render.kernel import kernels
-from bssrdf.transport import nearest, scoped_x64
-from bssrdf.transport.dipole import total_r_of_ratio
-from bssrdf.transport.fresnel import exit_norm
+from bssrdf.transport import nearest
 
 PLUGIN = "bssrdf_medium"
 PAIRS = (("sigma_a", "sigma_sp"), ("reflectance", "mean_free_path"))
@@ -80,6 +77,8 @@ def register_medium(variant: str) -> None:
             return out, dr.select(active & (out.pdf > 0), value, 0)
 
         def eval(self, context: Any, si: Any, wo: Any, active: Any) -> Any:
+            from bssrdf.transport.fresnel import exit_norm
+
             surface = self.surface
             reflected = mi.Spectrum(total_reflectance(surface).tolist())
             cos_i, cos_o = dr.abs(wo.z), dr.abs(si.wi.z)
@@ -150,8 +149,12 @@ def extinction(surface: MediumBoundary) -> Floats:
 
 def total_reflectance(surface: MediumBoundary) -> Floats:
     """R of the mean coefficients, shape (channels,)."""
+    from bssrdf.transport import scoped_x64  # needs JAX, which most pictures do without
+    from bssrdf.transport.dipole import total_r_of_ratio
+
     sigma_a, sigma_sp = mean_coefficients(surface)
-    return _total(sigma_a / (sigma_a + sigma_sp), surface.eta)
+    ratio = sigma_a / (sigma_a + sigma_sp)
+    return np.asarray(scoped_x64(total_r_of_ratio)(ratio, np.full_like(ratio, surface.eta)))
 
 
 def mean_coefficients(surface: MediumBoundary) -> Floats:
@@ -185,15 +188,12 @@ def _looked_up(value: Any) -> Floats:
 @functools.cache
 def inversion_table(eta: float, g: float) -> Floats:
     """q = √(1 − α′) over R of the Monte Carlo table, on a uniform grid from 0 to 1."""
+    from scipy.interpolate import PchipInterpolator
+
     at_hand = nearest(eta, g)
     media = kernels(at_hand.eta, at_hand.g, 1 - np.linspace(1, 0, _MEDIA) ** 2)
     q_of_total = PchipInterpolator(media.total, np.sqrt(1 - media.albedo))
     return np.asarray(q_of_total(np.linspace(0, 1, INVERSION_SIZE) * media.total[-1]))
-
-
-@scoped_x64
-def _total(ratio: Floats, eta: float) -> Floats:
-    return np.asarray(total_r_of_ratio(ratio, np.full_like(ratio, eta)))
 
 
 def _colour_or_texture(properties: Any, name: str) -> Any:

@@ -7,11 +7,12 @@ import functools
 import importlib.resources
 import tomllib
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from bssrdf.errors import InputError
-from bssrdf.transport.dipole import Medium, total_r
-from bssrdf.transport.precision import scoped_x64
+
+if TYPE_CHECKING:
+    from bssrdf.transport.dipole import Medium
 
 CHANNELS = ("R", "G", "B")
 
@@ -31,6 +32,8 @@ class PublishedMaterial:
 
     def medium(self, channel: str) -> Medium:
         """What the dipole needs of one of CHANNELS."""
+        from bssrdf.transport.dipole import Medium
+
         i = CHANNELS.index(channel)
         return Medium(self.sigma_a_per_mm[i], self.sigma_sp_per_mm[i], self.eta)
 
@@ -80,11 +83,14 @@ def find_material(name: str) -> PublishedMaterial:
     )
 
 
-@scoped_x64
 def table_check() -> list[TableCheck]:
     """All 36 cells, computed with the paper's polynomial for Fdr."""
+    from bssrdf.transport.dipole import total_r
+    from bssrdf.transport.precision import scoped_x64
+
+    computed = scoped_x64(lambda medium: float(total_r(medium)))
     return [
-        TableCheck(material.name, channel, published, float(total_r(material.medium(channel))))
+        TableCheck(material.name, channel, published, computed(material.medium(channel)))
         for material in load_materials().values()
         for channel, published in zip(CHANNELS, material.total_r, strict=True)
     ]
