@@ -42,11 +42,14 @@ def build_tree(corners: Floats, light: Floats) -> LightTree:
     leaf, chosen = leaves + np.flatnonzero(held), ordered[starts[:-1][held]]
     triangle[held] = chosen
     centre[leaf], spread[leaf], flux[leaf] = _moments(corners, light, chosen)
-    low[leaf], high[leaf] = corners[chosen].min(axis=1), corners[chosen].max(axis=1)
+    first, second, third = np.moveaxis(corners[chosen], 1, 0)
+    low[leaf] = np.minimum(np.minimum(first, second), third)
+    high[leaf] = np.maximum(np.maximum(first, second), third)
     _sum_up(levels, centre, spread, flux, low, high)
     reach = np.linalg.norm(np.maximum(high - centre, centre - low), axis=1)
     radius = np.where(np.isfinite(reach), reach, 0)
-    radius[leaf] = np.linalg.norm(corners[chosen] - centre[leaf][:, None], axis=2).max(axis=1)
+    off = [np.linalg.norm(corner - centre[leaf], axis=1) for corner in (first, second, third)]
+    radius[leaf] = np.maximum(np.maximum(*off[:2]), off[2])
     return LightTree(_single(centre), _single(radius), _single(spread), _single(flux), triangle)
 
 
@@ -106,30 +109,56 @@ def _halved(points: Floats, levels: int) -> tuple[Integers, Integers]:
     """An order of the points in which halves of halves lie together, and where each of the 2^levels parts starts."""
     ordered, starts = np.arange(len(points)), np.array([0, len(points)])
     for _ in range(levels):
-        _sort_parts(points, ordered, starts)
         middles = (starts[:-1] + starts[1:] + 1) // 2
+        _part_halves(points, ordered, starts, middles)
         starts = np.append(np.stack([starts[:-1], middles], axis=1).ravel(), starts[-1])
     return ordered, starts
 
 
 @numba.njit(cache=True, parallel=True)
-def _sort_parts(points: Floats, order: Integers, starts: Integers) -> None:
-    for part in numba.prange(len(starts) - 1):
+def _part_halves(points: Floats, order: Integers, starts: Integers, middles: Integers) -> None:
+    for part in numba.prange(len(middles)):
         if starts[part + 1] - starts[part] > 1:
-            _sort_along_longest(points, order, starts[part], starts[part + 1])
+            low, high = starts[part], starts[part + 1]
+            keys = np.empty(high - low)
+            axis = _longest_axis(points, order[low:high])
+            for i in range(low, high):
+                keys[i - low] = points[order[i], axis]
+            _select(keys, order[low:high], middles[part] - low)
 
 
 @numba.njit(cache=True)
-def _sort_along_longest(points: Floats, order: Integers, low: int, high: int) -> None:
+def _longest_axis(points: Floats, order: Integers) -> int:
     best, axis = -1.0, 0
     for k in range(3):
         least, most = np.inf, -np.inf
-        for i in range(low, high):
-            x = points[order[i], k]
+        for i in order:
+            x = points[i, k]
             least, most = min(least, x), max(most, x)
         if most - least > best:
             best, axis = most - least, k
-    keys = np.empty(high - low)
-    for i in range(low, high):
-        keys[i - low] = points[order[i], axis]
-    order[low:high] = order[low:high][np.argsort(keys)]
+    return axis
+
+
+@numba.njit(cache=True)
+def _select(keys: Floats, order: Integers, middle: int) -> None:
+    """Exchange until none of the keys before `middle` is above one from there on (Hoare 1961)."""
+    low, high = 0, len(keys) - 1
+    while low < high:
+        pivot = keys[(low + high) // 2]
+        i, j = low, high
+        while i <= j:
+            while keys[i] < pivot:
+                i += 1
+            while keys[j] > pivot:
+                j -= 1
+            if i <= j:
+                keys[i], keys[j] = keys[j], keys[i]
+                order[i], order[j] = order[j], order[i]
+                i, j = i + 1, j - 1
+        if middle <= j:
+            high = j
+        elif middle >= i:
+            low = i
+        else:
+            return
