@@ -168,9 +168,12 @@ def _opening(shape: Any) -> str:
 
 def free_edges(corners: NDArray[np.floating[Any]], faces: NDArray[np.integer[Any]]) -> int:
     """Edges that an odd number of faces share; corners at one place, as at a seam of the texture, are one."""
-    _, place = np.unique(corners, axis=0, return_inverse=True)
-    merged = place.reshape(-1)[faces]
-    edges = np.sort(np.concatenate([merged[:, [0, 1]], merged[:, [1, 2]], merged[:, [2, 0]]]), axis=1)
+    order = np.lexsort(corners.T)
+    new = np.any(np.diff(corners[order], axis=0) != 0, axis=1)
+    place = np.empty(len(corners), np.int64)
+    place[order] = np.concatenate([[0], np.cumsum(new)])[: len(corners)]
+    merged = place[faces]
+    edges = np.sort(np.stack([merged, np.roll(merged, -1, axis=1)], axis=-1).reshape(-1, 2), axis=1)
     edges = edges[edges[:, 0] != edges[:, 1]]
-    _, counts = np.unique(edges, axis=0, return_counts=True)
+    _, counts = np.unique(edges[:, 0] * len(corners) + edges[:, 1], return_counts=True)
     return int(np.count_nonzero(counts % 2))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
 from typing import Literal
 
@@ -43,10 +44,14 @@ class BodySurface:
 
         Vertices at one place differ in their normals, as along the edge of a cube, or in their texture coordinates.
         """
+        return self._places
+
+    @functools.cached_property
+    def _places(self) -> tuple[Integers, Integers]:
         grain = 1e-6 * max(float(np.abs(self.vertices).max(initial=0)), 1e-30)
-        cells = np.round(self.vertices / grain).astype(np.int64)
-        _, first, place = np.unique(cells, axis=0, return_index=True, return_inverse=True)
-        return first, place.reshape(-1)
+        x, y, z = np.round(self.vertices / grain).astype(np.int64).T + (1 << 20)
+        _, first, place = np.unique((x << 42) | (y << 21) | z, return_index=True, return_inverse=True)
+        return first, place
 
 
 @dataclass(frozen=True)

@@ -121,9 +121,8 @@ _TEMPLATES = {"Sphere": _sphere, "Rectangle": _rectangle, "Disk": _disk, "Cylind
 def refine(surface: BodySurface, target: Target, most: int, name: str) -> BodySurface:
     """Edges halved until none is longer than `target` allows, or, as a warning says, there is room for no more."""
     while True:
-        _, place = surface.places()
         pairs, of_edge = _edges(surface.faces, len(surface.vertices))
-        split = _too_long(surface, place, pairs, target)
+        split = _too_long(surface, pairs, target)
         if not split.any():
             return surface
         if len(surface.faces) + 2 * np.count_nonzero(split) > most:
@@ -158,9 +157,12 @@ def _edges(faces: Integers, n: int) -> tuple[Integers, Integers]:
     return np.stack([code // n, code % n], axis=1), of_edge.reshape(-1, 3)
 
 
-def _too_long(surface: BodySurface, place: Integers, pairs: Integers, target: Target) -> np.ndarray:
+def _too_long(surface: BodySurface, pairs: Integers, target: Target) -> np.ndarray:
     """Which edges; those that lie at one place are split together, so that no gap opens."""
     long = _lengths(surface, pairs) > target(*_middles(surface, pairs))
+    first, place = surface.places()
+    if len(first) == len(place):
+        return np.asarray(long)
     at = np.sort(place[pairs], axis=1)
     _, same = np.unique(at[:, 0] * (place.max() + 1) + at[:, 1], return_inverse=True)
     return (np.bincount(same.ravel(), long) > 0)[same.ravel()]
