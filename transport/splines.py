@@ -42,10 +42,10 @@ def spline_rows(xp: Any, table: Any, t: Any) -> tuple[Any, Any]:
     n_cells = table.shape[0] - 3
     table = xp.asarray(table)
     first = xp.clip((t * n_cells).astype(xp.int32), 0, n_cells - 1)
-    f = (t * n_cells - first).reshape((-1,) + (1,) * (table.ndim - 1))
+    f = t * n_cells - first
     h = 1 - f
     weights = (h**3 / 6, 2 / 3 - f * f * (1 - f / 2), 2 / 3 - h * h * (1 - h / 2), f**3 / 6)
     slopes = (-h * h / 2, f * (1.5 * f - 2), h * (2 - 1.5 * h), f * f / 2)
-    rows = [table[first + k] for k in range(4)]
-    value = sum(w * r for w, r in zip(weights, rows, strict=True))
-    return value, n_cells * sum(w * r for w, r in zip(slopes, rows, strict=True))
+    both = xp.stack([*weights, *(n_cells * each for each in slopes)], axis=-1).reshape(-1, 2, 4)
+    rows = xp.matmul(both, table.reshape(table.shape[0], -1)[first[:, None] + xp.arange(4)])
+    return rows[:, 0].reshape(-1, *table.shape[1:]), rows[:, 1].reshape(-1, *table.shape[1:])
