@@ -49,11 +49,11 @@ NOTHING = InSample(NAN, NAN, NAN, {})
 """Of slices that say nothing of depth, back or wall."""
 
 
-def in_samples(fitted: Fitted, sigma_a_shares: Mapping[str, Floats], rel_sd: Floats, off: Floats) -> list[InSample]:
-    """From each row's optimum; `rel_sd` of σa with its shares of the variance, `off` its relative model error."""
-    of_sample = sum(sigma_a_shares.get(name, 0.0) for name in ("thickness", "back")) + 0 * rel_sd
+def in_samples(fitted: Fitted, *, share: Floats, rel_sd: Floats, off: Floats) -> list[InSample]:
+    """From each row's optimum; `rel_sd` of σa with the `share` of its variance that depth and back have, `off` its
+    relative model error."""
     return [
-        _in_sample(fitted, row, *(float(each[row]) for each in (of_sample, rel_sd, off)))
+        _in_sample(fitted, row, *(float(each[row]) for each in (share, rel_sd, off)))
         if any(_told(piece) for piece in job.pieces) else NOTHING
         for row, job in enumerate(fitted.jobs)
     ]  # fmt: skip

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from itertools import compress
 from typing import Any, NamedTuple
@@ -59,6 +59,8 @@ NAMES = {"exit": "exit_law"}
 """Sources by the name that the budget has for them, where it differs."""
 STATED = ("noise", "total", "scale", "length", "spot", "view", "g", "eta")
 """Errors that a slice may state."""
+OF_SAMPLE = ("thickness", "back")
+"""Sources by which σa hangs on how the sample is held."""
 
 
 class Extra(NamedTuple):
@@ -78,83 +80,80 @@ class Extra(NamedTuple):
     of_table: TableSays | None = None
 
 
-class _Answer(NamedTuple):
-    """By row: coefficients [1/mm] with their sd (b,) and 95 % intervals (b, 2)."""
+class _Stated(NamedTuple):
+    """By row and coefficient, σa and σs′: values [1/mm] (b, 2) with their whole errors; and the data that counted."""
 
-    sigma_a: Floats
-    sd_a: Floats
-    interval_a: Floats
-    sigma_sp: Floats
-    sd_sp: Floats
-    interval_sp: Floats
+    value: Floats
+    sd: Floats
+    interval: Floats
+    """(b, 2, 2): both ends, 95 %."""
     correlation: Floats
-
-
-class _Used(NamedTuple):
-    """By row: data that counted, and the window that they span [mm], NaN without any."""
-
+    shares: Mapping[str, Floats]
+    """(b, 2) by source: of the variance of the logarithm; they add up to 1."""
     n: NDArray[np.int_]
     window: Floats
+    """(b, 2): radii [mm], NaN where none counted."""
 
 
 def needs_profile(fitted: Fitted) -> Bools:
     """Rows whose linear errors do not describe σa: at its boundary, or near it where R is not an exact condition."""
-    return fitted.plan.bent(fitted.found.point.q[:, 0], np.sqrt(covariances(fitted)[:, 1, 1]), PARABOLIC)
+    return fitted.plan.bent(fitted.found.point.q[:, 0], np.sqrt(_covariance(fitted)[:, 1, 1]), PARABOLIC)
 
 
-def covariances(fitted: Fitted) -> Floats:
+def relative_sds(fitted: Fitted) -> Floats:
+    """(b, 2) of σa and σs′, all sources."""
+    return np.sqrt(np.maximum(_variances(_of_logs(fitted, _covariance(fitted))), 0.0))
+
+
+def channel_fits(fitted: Fitted, extra: Extra) -> list[ChannelFit]:
+    """What is reported of every row."""
+    stated = _stated(fitted, extra)
+    of_sample = [stated.shares[name][:, 0] for name in OF_SAMPLE if name in stated.shares]
+    rel_sd = np.where(stated.value[:, 0] > 0, stated.sd[:, 0] / stated.value[:, 0], np.inf)
+    off = np.zeros(rel_sd.size) if extra.model_error is None else extra.model_error[:, 0]
+    samples = in_samples(fitted, share=np.sum([0.0 * stated.n, *of_sample], axis=0), rel_sd=rel_sd, off=off)
+    flags = _flags(fitted, extra, stated, samples)
+    for row in np.flatnonzero(np.isfinite(np.concatenate(fitted.rival, axis=1)).all(axis=1)).tolist():
+        if Flag.FEW_RADII not in flags[row]:
+            _join_rival(fitted, stated.interval[row], flags[row], row)
+    columns = _columns(fitted, extra, stated, samples, [tuple(each) for each in flags])
+    return [ChannelFit(**dict(zip(columns, row, strict=True))) for row in zip(*columns.values(), strict=True)]
+
+
+def _stated(fitted: Fitted, extra: Extra) -> _Stated:
+    log_sigma, q = (each[:, 0] for each in fitted.found.point[:2])
+    covariance, rel_sd = _covariance(fitted), relative_sds(fitted)
+    value = np.stack(coefficients(log_sigma, q), axis=1)
+    interval_a = _linear_interval(log_sigma, q, np.sqrt(covariance[:, 1, 1]), value[:, 0], rel_sd[:, 0])
+    sd = value * rel_sd
+    if extra.profiled is not None:
+        rows, profile = extra.profiled
+        value[rows] = np.stack([profile.sigma_a, profile.sigma_sp], axis=1)
+        interval_a[rows] = np.stack([profile.lower, profile.upper], axis=1)
+        sd[rows, 0] = (profile.upper - profile.lower) / (2 * Z95)
+        sd[rows, 1] = profile.sigma_sp * rel_sd[rows, 1]
+    of_logs = {NAMES.get(name, name): _of_logs(fitted, each) for name, each in fitted.judged.sources.items()}
+    whole = np.maximum(_variances(sum(of_logs.values())), 1e-300)
+    interval = np.stack([interval_a, spread_of(value[:, 1], sd[:, 1])], axis=1)
+    correlation = _of_logs(fitted, covariance)[:, 0, 1] / rel_sd.prod(axis=1)
+    shares = {name: _variances(each) / whole for name, each in of_logs.items()}
+    return _Stated(value, sd, interval, correlation, shares, *_counted(fitted))
+
+
+def _covariance(fitted: Fitted) -> Floats:
     """(b, 2, 2) of (s, q), all sources."""
     covariance: Floats = sum(fitted.judged.sources.values())
     return covariance
 
 
-def relative_sds(fitted: Fitted) -> Floats:
-    """(b, 2) of σa and σs′, all sources."""
+def _of_logs(fitted: Fitted, covariance: Floats) -> Floats:
+    """The same of (ln σa, ln σs′)."""
     turn = to_log(fitted.found.point.q)
-    return np.sqrt(np.maximum(np.einsum("bij,bjk,bik->bi", turn, covariances(fitted), turn), 0.0))
+    return turn @ covariance @ turn.swapaxes(1, 2)
 
 
-def _shares(fitted: Fitted) -> dict[str, Floats]:
-    """(b, 2) by source: shares of the variances of ln σa and ln σs′; they add up to 1."""
-    turn = to_log(fitted.found.point.q)
-    parts = {
-        NAMES.get(name, name): np.einsum("bij,bjk,bik->bi", turn, each, turn)
-        for name, each in fitted.judged.sources.items()
-    }
-    whole = np.maximum(sum(parts.values()), 1e-300)
-    return {name: part / whole for name, part in parts.items()}
-
-
-def channel_fits(fitted: Fitted, extra: Extra) -> list[ChannelFit]:
-    """What is reported of every row."""
-    answer, shares, used = _answers(fitted, extra), _shares(fitted), _used(fitted)
-    off = np.zeros(len(fitted.jobs)) if extra.model_error is None else extra.model_error[:, 0]
-    rel_sd = np.where(answer.sigma_a > 0, answer.sd_a / answer.sigma_a, np.inf)
-    samples = in_samples(fitted, {name: each[:, 0] for name, each in shares.items()}, rel_sd, off)
-    flags = _flags(fitted, extra, answer, used, samples)
-    for row in np.flatnonzero(np.isfinite(np.concatenate(fitted.rival, axis=1)).all(axis=1)):
-        if Flag.FEW_RADII not in flags[row]:
-            _join_rival(fitted, answer, flags, int(row))
-    columns = _columns(fitted, extra, answer, shares, used, samples, [tuple(each) for each in flags])
-    return [ChannelFit(**dict(zip(columns, row, strict=True))) for row in zip(*columns.values(), strict=True)]
-
-
-def _answers(fitted: Fitted, extra: Extra) -> _Answer:
-    log_sigma, q = (each[:, 0] for each in fitted.found.point[:2])
-    covariance, turn, sds = covariances(fitted), to_log(fitted.found.point.q), relative_sds(fitted)
-    cross = np.einsum("bj,bjk,bk->b", turn[:, 0], covariance, turn[:, 1])
-    sigma_a, sigma_sp = coefficients(log_sigma, q)
-    interval = _linear_interval(log_sigma, q, np.sqrt(covariance[:, 1, 1]), sigma_a, sds[:, 0])
-    sd_a = sigma_a * sds[:, 0]
-    if extra.profiled is not None:
-        rows, profile = extra.profiled
-        sigma_a[rows], sigma_sp[rows] = profile.sigma_a, profile.sigma_sp
-        interval[rows] = np.stack([profile.lower, profile.upper], axis=1)
-        sd_a[rows] = (profile.upper - profile.lower) / (2 * Z95)
-    sd_sp = sigma_sp * sds[:, 1]
-    return _Answer(
-        sigma_a, sd_a, interval, sigma_sp, sd_sp, spread_of(sigma_sp, sd_sp), cross / (sds[:, 0] * sds[:, 1])
-    )
+def _variances(covariance: Any) -> Floats:
+    return np.diagonal(covariance, axis1=1, axis2=2)
 
 
 def spread_of(value: Floats, sd: Floats) -> Floats:
@@ -171,24 +170,17 @@ def _linear_interval(log_sigma: Floats, q: Floats, q_sd: Floats, sigma_a: Floats
     return np.where((q > PARABOLIC * q_sd)[:, None], spread_of(sigma_a, sigma_a * rel_sd), about)
 
 
-def _used(fitted: Fitted) -> _Used:
-    b = len(fitted.jobs)
-    count, lo, hi = np.zeros(b, int), np.full(b, np.inf), np.full(b, -np.inf)
-    for c, used in zip(fitted.data.curves, fitted.judged.used, strict=True):
-        count += ((c.known != 0).sum(axis=2) * used).sum(axis=1)
-        lo = np.minimum(lo, np.where(used, c.r_lo, np.inf).min(axis=1))
-        hi = np.maximum(hi, np.where(used, c.r_hi, -np.inf).max(axis=1))
-    return _Used(count, np.where(np.isfinite(lo)[:, None], np.stack([lo, hi], axis=1), NAN))
+def _counted(fitted: Fitted) -> tuple[NDArray[np.int_], Floats]:
+    """How many data counted, and the window (b, 2) that they span [mm], NaN without any."""
+    every = list(zip(fitted.data.curves, fitted.judged.used, strict=True))
+    n = sum(((c.known != 0).sum(axis=2) * used).sum(axis=1) for c, used in every)
+    lo = np.min([np.where(used, c.r_lo, np.inf).min(axis=1) for c, used in every], axis=0)
+    hi = np.max([np.where(used, c.r_hi, -np.inf).max(axis=1) for c, used in every], axis=0)
+    return n, np.where(np.isfinite(lo)[:, None], np.stack([lo, hi], axis=1), NAN)
 
 
 def _columns(
-    fitted: Fitted,
-    extra: Extra,
-    answer: _Answer,
-    shares: Mapping[str, Floats],
-    used: _Used,
-    samples: Sequence[InSample],
-    flags: Sequence[tuple[str, ...]],
+    fitted: Fitted, extra: Extra, stated: _Stated, samples: Sequence[InSample], flags: Sequence[tuple[str, ...]]
 ) -> dict[str, Sequence[Any]]:
     """A value per row of each field of `ChannelFit`."""
     jobs, judged, known = fitted.jobs, fitted.judged, fitted.judged.errors_known
@@ -196,10 +188,10 @@ def _columns(
     told = np.array([status not in UNTOLD for status in statuses])
     told_a = told & [Flag.SIGMA_A_UNIDENTIFIABLE not in names for names in flags]
     bounded = told & [not sample.flags.get(Flag.SIGMA_A_UNIDENTIFIABLE) for sample in samples]
-    shared = told_a & [status == "converged" for status in statuses]
-    none = np.zeros((len(jobs), 0))
+    balanced = told_a & [status == "converged" for status in statuses]
+    model_error = {} if extra.model_error is None else dict(zip(_COEFFICIENTS, extra.model_error.T, strict=True))
 
-    def numbers(values: Floats, counts: Bools = told) -> list[float]:
+    def numbers(values: Floats, counts: Bools = told) -> list[Any]:
         return np.where(counts, values, NAN).tolist()
 
     def pairs(values: Floats, counts: Bools = told) -> list[Any]:
@@ -207,37 +199,34 @@ def _columns(
 
     return {
         "model": [fitted.model.name] * len(jobs),
-        "sigma_a_per_mm": numbers(answer.sigma_a, told_a),
-        "sigma_a_sd_per_mm": numbers(answer.sd_a, told_a),
-        "sigma_a_interval95_per_mm": pairs(answer.interval_a, bounded),
-        "sigma_sp_per_mm": numbers(answer.sigma_sp),
-        "sigma_sp_sd_per_mm": numbers(answer.sd_sp),
-        "sigma_sp_interval95_per_mm": pairs(answer.interval_sp),
-        "correlation": numbers(answer.correlation),
+        "sigma_a_per_mm": numbers(stated.value[:, 0], told_a),
+        "sigma_a_sd_per_mm": numbers(stated.sd[:, 0], told_a),
+        "sigma_a_interval95_per_mm": pairs(stated.interval[:, 0], bounded),
+        "sigma_sp_per_mm": numbers(stated.value[:, 1]),
+        "sigma_sp_sd_per_mm": numbers(stated.sd[:, 1]),
+        "sigma_sp_interval95_per_mm": pairs(stated.interval[:, 1]),
+        "correlation": numbers(stated.correlation),
         "total_r_measured": [_mean([p.total_r.get(job.channel, NAN) for p in job.pieces]) for job in jobs],
         "total_r_model": numbers(judged.seen.totals[0][0][:, 0]),
         "total_r_half_space": numbers(judged.seen.half[:, 0]),
         "tau_p": [sample.tau_p for sample in samples],
         "sample_effect": [(sample.log_total, sample.least_ratio) for sample in samples],
-        "window_mm": pairs(used.window, np.ones_like(told)),
-        "n": used.n.tolist(),
+        "window_mm": pairs(stated.window, np.ones_like(told)),
+        "n": stated.n.tolist(),
         "chi2_reduced": numbers(judged.chi2, known),
         "status": statuses,
         "flags": flags,
-        "model_error": _named(_COEFFICIENTS, none if extra.model_error is None else extra.model_error, told),
-        "sensitivity": _named(extra.sensitivity, np.stack([none.sum(1), *extra.sensitivity.values()], 1)[:, 1:], told),
-        "budget": _budgets(shares, shared),
+        "model_error": _named(model_error, told),
+        "sensitivity": _named(extra.sensitivity, told),
+        "budget": _budgets(stated.shares, balanced),
         "not_stated": [_not_stated(fitted, job, stated) for job, stated in zip(jobs, known.tolist(), strict=True)],
     }
 
 
-def _named(names: Iterable[str], values: Floats, counts: Bools) -> list[dict[str, float]]:
-    """A row's values (b, k) by name; nothing where it does not count."""
-    names = tuple(names)
-    return [
-        dict(zip(names, row, strict=False)) if counted else {}
-        for row, counted in zip(values.tolist(), counts.tolist(), strict=True)
-    ]
+def _named(values: Mapping[str, Floats], counts: Bools) -> list[dict[str, float]]:
+    """A row's values by name; nothing where it does not count."""
+    by_row = {name: each.tolist() for name, each in values.items()}
+    return [{name: each[row] for name, each in by_row.items() if counted} for row, counted in enumerate(counts)]
 
 
 def _budgets(shares: Mapping[str, Floats], counts: Bools) -> list[dict[str, dict[str, float]]]:
@@ -245,21 +234,20 @@ def _budgets(shares: Mapping[str, Floats], counts: Bools) -> list[dict[str, dict
     by_row = np.stack(list(shares.values()), axis=2).tolist()
     return [
         {key: {name: share for name, share in zip(shares, of, strict=True) if share > 0}
-         for key, of in zip(_COEFFICIENTS, both, strict=True)} if counted else {}
+         for key, of in zip(_COEFFICIENTS, both, strict=True) if counted}
         for both, counted in zip(by_row, counts.tolist(), strict=True)
     ]  # fmt: skip
 
 
-def _join_rival(fitted: Fitted, answer: _Answer, flags: list[list[str]], row: int) -> None:
-    """One interval for two media that fit alike; where it would say nothing, that is said."""
-    sigma_a, sigma_sp = (float(each) for each in coefficients(*(float(each[row, 0]) for each in fitted.rival[:2])))
-    for interval, other in ((answer.interval_a, sigma_a), (answer.interval_sp, sigma_sp)):
-        interval[row] = min(interval[row, 0], other), max(interval[row, 1], other)
-    a, sp = answer.interval_a[row], answer.interval_sp[row]
-    flags[row].append(Flag.TWO_MEDIA)
-    far = sp[1] > TWO_MEDIA * sp[0] or a[1] > TWO_MEDIA**2 * max(a[0], 1e-300)
-    if far and Flag.NOISE not in flags[row]:
-        flags[row].append(Flag.NOISE)
+def _join_rival(fitted: Fitted, interval: Floats, flags: list[str], row: int) -> None:
+    """One interval (2, 2) for two media that fit alike; where it would say nothing, that is said."""
+    other = np.array(coefficients(*(float(each[row, 0]) for each in fitted.rival[:2])))
+    interval[:] = np.stack([np.minimum(interval[:, 0], other), np.maximum(interval[:, 1], other)], axis=1)
+    flags.append(Flag.TWO_MEDIA)
+    (lowest_a, highest_a), (lowest_sp, highest_sp) = interval
+    far = highest_sp > TWO_MEDIA * lowest_sp or highest_a > TWO_MEDIA**2 * max(lowest_a, 1e-300)
+    if far and Flag.NOISE not in flags:
+        flags.append(Flag.NOISE)
 
 
 @lru_cache(maxsize=4096)
@@ -273,9 +261,9 @@ def _status(flags: tuple[str, ...]) -> Status:
     return "upper_bound" if {Flag.ALBEDO_ONE, Flag.TOTAL_AT_LIMIT} & set(flags) else "converged"
 
 
-def _flags(fitted: Fitted, extra: Extra, answer: _Answer, used: _Used, samples: Sequence[InSample]) -> list[list[str]]:
+def _flags(fitted: Fitted, extra: Extra, stated: _Stated, samples: Sequence[InSample]) -> list[list[str]]:
     """By row the names from `Flag` that hold for this fit, and those of its slices."""
-    held = _held(fitted, extra, answer, used)
+    held = _held(fitted, extra, stated)
     for name in {name for sample in samples for name in sample.flags}:
         held[name] = held.get(name, False) | np.array([sample.flags.get(name, False) for sample in samples])
     few = held[Flag.FEW_RADII]
@@ -289,7 +277,7 @@ def _flags(fitted: Fitted, extra: Extra, answer: _Answer, used: _Used, samples: 
     return raised
 
 
-def _held(fitted: Fitted, extra: Extra, answer: _Answer, used: _Used) -> dict[str, Bools]:
+def _held(fitted: Fitted, extra: Extra, stated: _Stated) -> dict[str, Bools]:
     """Which rows each flag holds for, by the fit itself; one value where it holds for all or none."""
     jobs, plan, judged, first = fitted.jobs, fitted.plan, fitted.judged, fitted.jobs[0].pieces
     biased, known = fitted.model.biased, judged.errors_known
@@ -302,9 +290,9 @@ def _held(fitted: Fitted, extra: Extra, answer: _Answer, used: _Used) -> dict[st
     pull, drift = (0.0, 0.0) if extra.bias is None else (BIAS_ROOM * extra.bias.pull, BIAS_ROOM * extra.bias.drift)
     table_pull, table_drift = (0.0, 0.0) if extra.of_table is None else extra.of_table
     found: dict[str, Any] = {
-        Flag.ALBEDO_ONE: answer.interval_a[:, 0] <= 0,
+        Flag.ALBEDO_ONE: stated.interval[:, 0, 0] <= 0,
         Flag.DIPOLE_UNCHECKED: biased and not extra.checked,
-        Flag.FEW_RADII: used.n < FEWEST,
+        Flag.FEW_RADII: stated.n < FEWEST,
         Flag.G_ASSUMED: first[0].g is None and not biased,
         Flag.G_CLAMPED: is_clamped(first[0].g) and not biased,
         Flag.INCIDENCE_OBLIQUE: biased and any(p.incidence_deg >= OBLIQUE_DEG for p in first),
@@ -312,7 +300,7 @@ def _held(fitted: Fitted, extra: Extra, answer: _Answer, used: _Used) -> dict[st
         Flag.LIGHT_LOST: [
             any((p.lost_fraction or {}).get(job.channel, 0.0) > MAX_LOST for p in job.pieces) for job in jobs
         ],
-        Flag.NOISE: ~(answer.sd_sp / answer.sigma_sp < MAX_REL_SD),
+        Flag.NOISE: ~(stated.sd[:, 1] / stated.value[:, 1] < MAX_REL_SD),
         Flag.NOT_CONVERGED: ~fitted.found.converged | (biased and extra.model_error is None),
         Flag.POOR_FIT: known & (judged.chi2 > POOR_CHI2),
         Flag.POOR_FIT_RUNS: known & (judged.runs_z > POOR_RUNS),
@@ -326,14 +314,14 @@ def _held(fitted: Fitted, extra: Extra, answer: _Answer, used: _Used) -> dict[st
         Flag.SHAPE_MISFIT: known
         & ~thin_rows(fitted)
         & ((judged.drift > np.hypot(MOST_DRIFT, drift)) | (table_drift > MOST_DRIFT)),
-        Flag.SIGMA_A_UNIDENTIFIABLE: ~np.isfinite(answer.interval_a[:, 1]),
+        Flag.SIGMA_A_UNIDENTIFIABLE: ~np.isfinite(stated.interval[:, 0, 1]),
         Flag.SIDE_UNKNOWN: not biased and any(sight.slant > 0 for sight in plan.sights if sight.camera),
         Flag.SINGLE_SCATTERING: biased & (q > np.sqrt(1.5)),
         Flag.SPOT_WIDE: spots * sigma_tp > 1,
         Flag.TOTAL_AT_LIMIT: bool(plan.totals) & (totals >= 1).any(axis=1),
         Flag.TOTAL_INCONSISTENT: (np.abs(judged.pull) > MOST_PULL + pull) | (np.abs(table_pull) > MOST_PULL),
         Flag.TOTAL_UNKNOWN: np.isnan(totals).all(axis=1),
-        Flag.WINDOW_SHORT: used.window[:, 1] * np.maximum(q, 0.0) * sigma_tp < 1,
+        Flag.WINDOW_SHORT: stated.window[:, 1] * np.maximum(q, 0.0) * sigma_tp < 1,
     }  # fmt: skip
     return {name: np.asarray(holds, bool) for name, holds in found.items()}
 
