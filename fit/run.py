@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -11,7 +12,7 @@ from bssrdf.fit.batch import Fitted, fit_group, surely_poor
 from bssrdf.fit.intervals import Profile, profile
 from bssrdf.fit.jobs import FitOptions, Job, groups_of
 from bssrdf.fit.models import DIPOLE_BEST, DIPOLE_SHARE, Truth, named, table_key, truth_of
-from bssrdf.fit.neighbours import TableSays, bias, dipole_on_light, refitted, sample_error, sensitivities, table_error
+from bssrdf.fit.neighbours import TableSays, bias, dipole_on_light, sample_error, sensitivities, table_error
 from bssrdf.fit.sample_verdict import thin_rows
 from bssrdf.fit.verdict import FEWEST, Extra, channel_fits, needs_profile, relative_sds
 from bssrdf.session.flags import Flag
@@ -23,8 +24,10 @@ from bssrdf.transport.light import Light, WhiteTable, coefficients, dipole
 OTHER_G = (0.0, 0.35, 0.6, 0.8, 0.9)
 ETA_AWAY = 0.1
 """Tried where a curve does not fit: does another g or η?"""
+SPOTS_MFP = (0.25, 0.5, 1.0)
+"""1/e² radii tried likewise, where none is stated."""
 MUCH_BETTER = 0.5
-"""Of χ²: below this share another g or η is more likely than the one given."""
+"""Of χ²: below this share another g, η or spot is more likely than the one given."""
 
 
 DEFAULT = FitOptions()
@@ -173,30 +176,46 @@ def _profiled(fitted: Fitted) -> tuple[np.ndarray, Profile] | None:
 
 
 def _others(fitted: Fitted) -> list[tuple[str, ...]]:
-    """Flags of rows whose curve does not fit here and far better under another g or η, with other coefficients."""
+    """Flags of rows whose curve does not fit here and far better under another g, η or spot, with other
+    coefficients."""
     raised: list[tuple[str, ...]] = [() for _ in fitted.jobs]
     poor = np.flatnonzero(surely_poor(fitted.judged) & fitted.found.converged & ~thin_rows(fitted))
-    piece = fitted.jobs[0].pieces[0]
-    if not poor.size or fitted.model.biased or table_key(piece).beam != NORMAL:
+    if not poor.size or fitted.model.biased or table_key(fitted.jobs[0].pieces[0]).beam != NORMAL:
         return raised
     part = _subset(fitted, poor)
+    for flag, jobs, model in _readings(part):
+        again = fit_group(jobs, part.options, model, begin=part.found.point)
+        for row in poor[_fits_better(part, again)]:
+            raised[row] = tuple(dict.fromkeys((*raised[row], flag)))
+    return raised
+
+
+def _readings(part: Fitted) -> Iterator[tuple[Flag, Sequence[Job], Light]]:
+    """The same curves as of another medium, or of a spot where they state none."""
+    piece = part.jobs[0].pieces[0]
     g = table_key(piece).g
     nodes = [(Flag.G_SUSPECT, piece.eta, other) for other in OTHER_G if abs(other - g) > 0.05]
     nodes += [(Flag.ETA_SUSPECT, piece.eta + step, g) for step in (-ETA_AWAY, ETA_AWAY)]
     for flag, eta, other in nodes:
         if tabulated(eta, other):
-            for at, row in enumerate(poor):
-                if _fits_better(part, shipped_table(eta, other), at):
-                    raised[row] = tuple(dict.fromkeys((*raised[row], flag)))
-    return raised
+            yield flag, part.jobs, shipped_table(eta, other)
+    if any(each.spot_radius_mm for each in part.jobs[0].pieces):
+        return
+    mfp = np.exp(-part.found.point.log_sigma[:, 0])
+    for share in SPOTS_MFP:
+        jobs = [
+            job._replace(pieces=tuple(replace(each, spot_radius_mm=share * float(one)) for each in job.pieces))
+            for job, one in zip(part.jobs, mfp, strict=True)
+        ]
+        yield Flag.SPOT_SUSPECT, jobs, part.model
 
 
-def _fits_better(part: Fitted, other: Light, at: int) -> bool:
-    rows = np.array([at])
-    data, found = picked(part.data, rows), picked(part.found, rows)
-    again = refitted(part.plan, other, data, found, found.weights)
-    if not again.cost[0] < MUCH_BETTER * found.cost[0]:
-        return False
-    ours, theirs = (np.concatenate(coefficients(p.log_sigma, p.q)) for p in (found.point, again.point))
-    sd = relative_sds(_subset(part, rows))[0]
-    return bool((np.abs(np.log(np.maximum(theirs, 1e-300) / np.maximum(ours, 1e-300)))[:, 0] > 1.96 * sd).any())
+def _fits_better(ours: Fitted, theirs: Fitted) -> np.ndarray:
+    """Rows where theirs has so much less χ² with most of the radii, and a coefficient elsewhere than within their
+    error: if they are right, nothing is left for which errors would have to grow."""
+    far_better = theirs.judged.chi2 < MUCH_BETTER * ours.judged.chi2
+    most = theirs.judged.n > ours.judged.n / 2
+    a, b = (np.concatenate(coefficients(each.found.point.log_sigma, each.found.point.q), 1) for each in (ours, theirs))
+    moved = np.abs(np.log(np.maximum(b, 1e-300) / np.maximum(a, 1e-300)))
+    elsewhere = (moved > 1.96 * relative_sds(theirs)).any(axis=1)
+    return np.asarray(theirs.found.converged & far_better & most & elsewhere)

@@ -49,7 +49,7 @@ LEAST_LIGHT = 1e-4
 MOST_LIGHT = 2.0
 MAX_LOST = 0.05
 """Share of the light that fell outside the frame, beyond which its estimate decides R."""
-REJECTING = (Flag.TOTAL_INCONSISTENT, Flag.SHAPE_MISFIT, Flag.G_SUSPECT, Flag.ETA_SUSPECT)
+REJECTING = (Flag.TOTAL_INCONSISTENT, Flag.SHAPE_MISFIT, Flag.G_SUSPECT, Flag.ETA_SUSPECT, Flag.SPOT_SUSPECT)
 UNTOLD = ("rejected", "unidentifiable", "failed")
 """No number of these can be trusted."""
 OF_FEW = (Flag.FEW_RADII, Flag.G_ASSUMED, Flag.SCALE_SD_UNKNOWN, Flag.SD_UNKNOWN)

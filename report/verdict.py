@@ -50,6 +50,7 @@ _OF_FLAG = {
     "shape_misfit": "the curve has another shape than any such medium: check η, g and the sample's thickness",
     "g_suspect": "the curve fits another g better: give g, or run `bssrdf fit --fit-g`",
     "eta_suspect": "the curve fits another η better: check eta",
+    "spot_suspect": "near the beam the curve is that of a spot: give spot_radius_mm, or narrow --window-mm",
     "few_radii": "too few radii lie in the window: film nearer, with a narrower beam",
     "noise": "the curve is lost in noise: add longer exposures or a brighter beam",
     "not_converged": "the search did not settle: fit with --model mc, or fewer radii with --window-mm",

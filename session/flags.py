@@ -275,6 +275,11 @@ class Flag(StrEnum):
         "measure",
         "The spot on the tile is not as wide as session.toml states: out of focus, or another beam?",
     )
+    SPOT_SUSPECT = (
+        "spot_suspect",
+        "fit",
+        "No spot is stated, and the curve fits one at less than half the χ², with other coefficients: rejected.",
+    )
     SPOT_WIDE = (
         "spot_wide",
         "fit",

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from builders import changed, slice_of, with_rd
 
+from bssrdf.bench import sabotaged_slices
 from bssrdf.bench.trial_light import TrialLight, edges_mm, shipped
 from bssrdf.bench.trials import Drawn, slices_of
 from bssrdf.fit import FitOptions, fit_slices
@@ -99,6 +100,19 @@ def test_scatter_beyond_the_errors_gives_the_interval_of_honest_errors(name: str
         assert 0.85 < np.median(ratio) < 1.2
     assert all("poor_fit" in found.flags for found in understated)
     assert all(found.budget["sigma_a"]["misfit"] > 3 * found.budget["sigma_a"]["noise"] for found in understated)
+
+
+def test_a_spot_that_is_not_stated_is_suspected_and_one_that_is_stated_is_not(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sabotaged_slices, "STEPS", 1e7)
+    medium = sabotaged_slices.MEDIA["skin"]
+    spotted = sabotaged_slices.case_of(medium, 1).spotted
+    silent = fit(spotted)
+    assert silent.status == "rejected"
+    assert "spot_suspect" in silent.flags
+    radius = sabotaged_slices.SPOT_MFP / (medium.sigma_a + medium.sigma_sp)
+    stated = fit(replace(spotted, spot_radius_mm=radius))
+    assert stated.status == "converged"
+    assert stated.sigma_sp_per_mm == pytest.approx(medium.sigma_sp, rel=0.01)
 
 
 def test_what_is_refused_prints_no_number() -> None:
