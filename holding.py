@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from bssrdf.errors import InputError
 from bssrdf.session.records import Slice
-from bssrdf.transport.finite import DEEP, Sample
+from bssrdf.transport.arrays import NUMPY
+from bssrdf.transport.finite import DEEP, Kind, Sample, log_ratio, top_of
+from bssrdf.transport.light import Light, shape_of
 from bssrdf.transport.slab import FARTHEST, air_back
 
-Kind = Literal["half", "slab", "dish"]
 THICKNESS_REL_SD = 0.02
 """Assumed where none is stated: half a millimetre of 25 by a ruler."""
 NEAR_TOTAL = 0.01
@@ -125,3 +127,16 @@ def samples_of(pieces: Sequence[Slice]) -> Sample:
     every = [held(piece) for piece in pieces]
     deep = [min(each.thickness, DEEP * each.radius) for each in every]
     return Sample(*(np.array(each)[:, None] for each in (deep, *zip(*(e[2:5] for e in every), strict=True))))
+
+
+def sample_ratio(
+    piece: Slice, model: Light, sigma_a: float, sigma_sp: float, r_mm: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """What back and walls of the slice's sample make of a half space's curve at these radii, (n,); 1 without them."""
+    kind = held(piece).kind
+    if kind == "half":
+        return np.ones_like(r_mm)
+    log_sigma, q = (np.full((1, 1), each) for each in shape_of(sigma_a, sigma_sp))
+    looked = log_ratio(NUMPY, kind == "dish", samples_of([piece]), top_of(model), log_sigma, q, r_mm[None])
+    ratio: NDArray[np.float64] = np.exp(looked[0][0])
+    return ratio

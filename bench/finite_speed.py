@@ -14,8 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from bssrdf.fit import FitOptions, fit_slice, fit_slices, sample_ratio
-from bssrdf.holding import held
+from bssrdf.fit import FitOptions, fit_slice, fit_slices
+from bssrdf.holding import held, sample_ratio
 from bssrdf.session.records import ChannelSlice, Slice
 from bssrdf.transport import shipped_table
 from bssrdf.transport.arrays import NUMPY
@@ -67,7 +67,7 @@ def _light(
     table = shipped_table(ETA, 0.0)
     log_sigma, q = (np.full((1, 1), each) for each in shape_of(sigma_a, sigma_sp))
     sigma = float(np.exp(log_sigma[0, 0]))
-    rd = sigma**2 * table.look(NUMPY, q, sigma * r[None])[0][0] * sample_ratio(piece, sigma_a, sigma_sp, r)
+    rd = sigma**2 * table.look(NUMPY, q, sigma * r[None])[0][0] * sample_ratio(piece, table, sigma_a, sigma_sp, r)
     total = float(table.total(NUMPY, q)[0][0, 0])
     kind, *lengths = held(piece)[:5]
     if kind != "half":

@@ -5,17 +5,17 @@ from typing import TYPE_CHECKING
 from bssrdf.door import door
 
 if TYPE_CHECKING:
-    from bssrdf.fit.bare import Bare as Bare
-    from bssrdf.fit.bare import bare_curve as bare_curve
-    from bssrdf.fit.bare import model_of as model_of
-    from bssrdf.fit.bare import sample_ratio as sample_ratio
     from bssrdf.fit.batch import Fitted as Fitted
     from bssrdf.fit.batch import fit_group as fit_group
     from bssrdf.fit.batch import searched as searched
     from bssrdf.fit.free_g import fit_g as fit_g
     from bssrdf.fit.jobs import FitOptions as FitOptions
     from bssrdf.fit.jobs import Job as Job
+    from bssrdf.fit.layout import Curves as Curves
+    from bssrdf.fit.layout import curves_of as curves_of
+    from bssrdf.fit.layout import sight_of as sight_of
     from bssrdf.fit.models import RULE as RULE
+    from bssrdf.fit.models import table_key as table_key
     from bssrdf.fit.problem import Constraint as Constraint
     from bssrdf.fit.run import fit_joint as fit_joint
     from bssrdf.fit.run import fit_slice as fit_slice

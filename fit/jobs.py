@@ -11,7 +11,7 @@ import numpy as np
 
 from bssrdf.errors import InputError
 from bssrdf.fit.compiled import FROM
-from bssrdf.fit.layout import Curves, Sight, camera_factor, curves_of, nodes_of, points_of, sight_of, total_of
+from bssrdf.fit.layout import Curves, camera_factor, curves_of, nodes_of, points_of, sight_of, total_of
 from bssrdf.fit.models import ModelName
 from bssrdf.fit.problem import (
     OF_MEDIUM,
@@ -28,6 +28,7 @@ from bssrdf.session.records import Slice
 from bssrdf.transport import Policy
 from bssrdf.transport.light import Light
 from bssrdf.transport.light_errors import EXIT_MODES, SIDE_MODES, TABLE_MODES
+from bssrdf.transport.observed import Sight
 
 POINTS = 130_000
 """Radii that a batch looks at together: more would not fit the caches, with fewer each call of NumPy costs too much."""

@@ -13,11 +13,11 @@ from typing import Any
 
 import numpy as np
 
-from bssrdf.fit.observe import QuadratureNodes, averaged, middles, nodes, plain, seen_at, total_seen
 from bssrdf.fit.problem import OF_CURVE, OF_MEDIUM, Laid, Looked, Neighbours, Plan, Point, Problem, Source
 from bssrdf.transport.arrays import Engine
 from bssrdf.transport.light import NEAREST_MFP, Light
 from bssrdf.transport.light_errors import exit_modes, side_modes, side_of_total, table_modes
+from bssrdf.transport.observed import QuadratureNodes, averaged, middles, nodes, plain, seen_at, total_seen
 from bssrdf.transport.sample_light import curve_off, further, sampled, total_look
 
 SLOPE_Q = 1e-4

@@ -13,9 +13,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bssrdf.holding import Kind, held
+from bssrdf.holding import held
 from bssrdf.session.records import ChannelSlice, Slice
 from bssrdf.transport.light import exit_norm, transmittance
+from bssrdf.transport.observed import Sight
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -34,24 +35,6 @@ FEW = 24
 """Radii that a start rests on."""
 STATED_SDS = 2 / 3
 """Of all rows: where fewer state an error, none can be guessed from its neighbours."""
-
-
-class Sight(NamedTuple):
-    """How a slice was seen, fixed within a batch: what the model's curve has to go through."""
-
-    camera: bool
-    """Whether a camera at an angle saw the light, so that the model's own exit law counts."""
-    cos_view: float
-    slant: float
-    """Product of the sines of beam and view inside: what hangs on the camera's side of the beam grows with it."""
-    binned: bool
-    inner: int
-    """Annuli, in order of radius, with 12 nodes."""
-    blurred: bool
-    blur_inner: int
-    """Radii, in order, whose blur takes 48 nodes."""
-    held: Kind
-    """What back and walls the sample has."""
 
 
 def points_of(sight: Sight, radii: int) -> int:

@@ -16,12 +16,12 @@ from bssrdf.fit.errors import Judged, judge
 from bssrdf.fit.laying import TINY, lay, look
 from bssrdf.fit.layout import Total
 from bssrdf.fit.models import Truth
-from bssrdf.fit.observe import middles
 from bssrdf.fit.problem import Laid, Neighbours, Plan, Point, Problem, Weights
 from bssrdf.fit.solve import Solution, optimise, settle
 from bssrdf.transport import R_ZERO, V_MAX
 from bssrdf.transport.arrays import NUMPY, picked
 from bssrdf.transport.light import Light, WhiteTable, coefficients, dipole, shape_of
+from bssrdf.transport.observed import middles
 from bssrdf.transport.sample_light import curve_off, total_off
 
 Floats = NDArray[np.float64]

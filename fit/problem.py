@@ -8,9 +8,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, Literal, NamedTuple
 
-from bssrdf.fit.layout import Curves, Sight, Total
-from bssrdf.fit.observe import QuadratureNodes, Seen
+from bssrdf.fit.layout import Curves, Total
 from bssrdf.transport.light import Light
+from bssrdf.transport.observed import QuadratureNodes, Seen, Sight
 
 Constraint = Literal["exact", "soft", "none"]
 Source = Literal["scale", "length", "spot", "view", "exit", "side", "table", "eta", "g", "thickness", "back", "ratio"]

@@ -12,11 +12,11 @@ import numpy as np
 
 from bssrdf.fit.laying import TINY
 from bssrdf.fit.layout import Curves
-from bssrdf.fit.observe import middles
 from bssrdf.fit.problem import Gaps, Laid, Looked, Plan, Point, Problem, System, Weights
 from bssrdf.transport.arrays import Engine
 from bssrdf.transport.light import Light
 from bssrdf.transport.light_errors import exit_rel_sd
+from bssrdf.transport.observed import middles
 from bssrdf.transport.q_root import q_of_total
 from bssrdf.transport.sample_light import curve_off, q_of_sample, total_off
 

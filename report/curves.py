@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from bssrdf.fit import Bare, bare_curve, model_of
+from bssrdf.report.bare import Bare, bare_curve, model_of
 from bssrdf.report.plot import Axis, bars, dots, line
 from bssrdf.report.validation import Check
 from bssrdf.session.records import ChannelFit, Fit, Slice

@@ -9,7 +9,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from bssrdf.errors import BssrdfError
-from bssrdf.fit import FitOptions, bare_curve, fit_slice, model_of
+from bssrdf.fit import FitOptions, fit_slice
+from bssrdf.report.bare import bare_curve, model_of
 from bssrdf.session.records import ChannelFit, ChannelSlice, Slice
 
 CLEAR_SD = 5.0

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jinja2 import Environment
 
-from bssrdf.fit import bare_curve, model_of
+from bssrdf.report.bare import bare_curve, model_of
 from bssrdf.report.evidence import Evidence, Piece
 from bssrdf.report.page import coefficient_row, write_evidence
 from bssrdf.report.tiles import channel_tiles

@@ -1,6 +1,6 @@
 """The paper's Fig. 6: measured points, the dipole, and a Monte Carlo simulation, all with the fitted coefficients.
 
-Spot and camera angle are taken off the measured points as the fit allows for them (`fit.bare_curve`).
+Spot and camera angle are taken off the measured points as the fit allows for them (`report/bare.py`).
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from bssrdf.fit import bare_curve, sample_ratio
-from bssrdf.holding import held
+from bssrdf.holding import held, sample_ratio
+from bssrdf.report.bare import bare_curve
 from bssrdf.session.records import ChannelFit, Fit, Slice
 from bssrdf.transport import (
     DipoleModel,
@@ -28,6 +28,7 @@ from bssrdf.transport import (
     simulate,
     table_model,
     tabulated,
+    usual_light,
 )
 from bssrdf.transport.dipole import Medium
 
@@ -94,7 +95,7 @@ def validate(
         model = _model_of(fit, channel)
         measured = _as_modelled(channel, piece, name)
         found = (channel.sigma_a_per_mm, channel.sigma_sp_per_mm)
-        in_sample = partial(sample_ratio, piece, *found)
+        in_sample = partial(sample_ratio, piece, usual_light(piece.eta, piece.g), *found)
         expected = _over_rings(model, Medium(*found, fit.eta), edges, value, error, measured, in_sample)
         departure = _departure(measured, channel.window_mm, expected)
         checks.append(Check(name, measured, centre, value, error, *tally.total_r(), departure))

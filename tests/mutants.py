@@ -133,14 +133,14 @@ PHYSICS = (
     ),
     Mutant(
         "annuli of the fit: mean by dr instead of r dr",
-        "fit/observe.py",
+        "transport/observed.py",
         "xp.where(from_zero, r, r * r)",
         "xp.where(from_zero, 1.0 + 0 * r, r)",
         ("fit_observe::an_annulus_is_the_model_s_mean",),
     ),
     Mutant(
         "spot of the fit: √2 too wide",
-        "fit/observe.py",
+        "transport/observed.py",
         "np.sqrt(t / 2), angle",
         "np.sqrt(t), angle",
         ("fit_observe::the_spots_blur_is_the_mean_over_the_spot",),

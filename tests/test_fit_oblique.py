@@ -11,7 +11,6 @@ from bssrdf.bench.camera_light import CameraLight
 from bssrdf.bench.oblique_light import oblique_lights, oblique_slices
 from bssrdf.fit import FitOptions, fit_slices
 from bssrdf.fit.layout import curves_of, sight_of
-from bssrdf.fit.observe import middles
 from bssrdf.rig import SampleMedium
 from bssrdf.session.records import ChannelFit, Slice
 from bssrdf.transport import shipped_table
@@ -20,6 +19,7 @@ from bssrdf.transport.discrete_ordinates import half_spaces
 from bssrdf.transport.exit_radiance import transmittance
 from bssrdf.transport.light import shape_of
 from bssrdf.transport.light_errors import side_modes, side_of_total
+from bssrdf.transport.observed import middles
 
 MEDIA = {0.0: SampleMedium(0.1, 1.0, 1.33, 0.0), 0.8: SampleMedium(0.1, 1.0, 1.4, 0.8)}
 BEAM_DEG, VIEW_DEG = 45.0, 30.0

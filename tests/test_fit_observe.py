@@ -8,11 +8,11 @@ import pytest
 from builders import slice_of
 
 from bssrdf.fit.layout import curves_of, sight_of
-from bssrdf.fit.observe import averaged, azimuths, nodes, seen_at
 from bssrdf.transport.arrays import NUMPY
 from bssrdf.transport.dipole import Medium
 from bssrdf.transport.forward import DipoleModel
 from bssrdf.transport.light import dipole, shape_of
+from bssrdf.transport.observed import averaged, azimuths, nodes, seen_at
 
 
 @pytest.mark.parametrize("growth", [1.01, 1.1, 2.0])

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from bssrdf.transport.light_tables import light_table as light_table
     from bssrdf.transport.light_tables import shipped_table as shipped_table
     from bssrdf.transport.light_tables import tabulated as tabulated
+    from bssrdf.transport.light_tables import usual_light as usual_light
     from bssrdf.transport.materials import CHANNELS as CHANNELS
     from bssrdf.transport.materials import Rgb as Rgb
     from bssrdf.transport.materials import find_material as find_material

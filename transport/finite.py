@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -31,6 +31,10 @@ DEEP = 3.0
 _LINE, _LINE_WEIGHTS = np.polynomial.laguerre.laggauss(16)
 _TINY = 1e-30
 LEAST_RATIO = 1e-8
+
+
+Kind = Literal["half", "slab", "dish"]
+"""What back and walls a sample has."""
 
 
 class Sample(NamedTuple):

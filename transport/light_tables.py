@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from bssrdf.errors import InputError
 from bssrdf.transport.incidence import NORMAL, Incidence
-from bssrdf.transport.light import WhiteTable, table_of
+from bssrdf.transport.light import Light, WhiteTable, dipole, table_of
 from bssrdf.transport.parallel import Progress
 from bssrdf.transport.white.store import Policy, allowed, place, shipped, table_model
 
@@ -56,6 +56,11 @@ def tabulated(eta: float, g: float | None) -> bool:
 def shipped_table(eta: float, g: float) -> WhiteTable:
     """The table of a medium that `tabulated` knows."""
     return _table(eta, g, SILENT, NORMAL)
+
+
+def usual_light(eta: float, g: float | None) -> Light:
+    """The table of the finest set where it ships, else the dipole."""
+    return shipped_table(eta, g or 0.0) if tabulated(eta, g) else dipole(eta)
 
 
 @lru_cache(maxsize=64)

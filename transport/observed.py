@@ -1,16 +1,16 @@
 """What annuli, spot and camera make of a model's R_d(r), which is that of a narrow beam over all directions of exit.
 
-Shapes as in `layout`: b problems, u radii. Lengths in mm.
+Shapes: b curves of u radii or annuli each. Lengths in mm.
 """
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
-from bssrdf.fit.layout import Curves, Sight
 from bssrdf.transport.arrays import Engine
+from bssrdf.transport.finite import Kind
 from bssrdf.transport.light import NEAREST_MFP, Light, Look, exit_norm, transmittance
 
 _DARKEST = 1e-6
@@ -30,6 +30,46 @@ def _stencil(radial: int, angular: int) -> tuple[Any, Any, Any]:
 _NEAR_SPOT, _FAR_SPOT = _stencil(6, 8), _stencil(3, 4)
 
 
+class Sight(NamedTuple):
+    """How a curve was seen, the same for all rows of a batch: what the model's has to go through."""
+
+    camera: bool
+    """Whether a camera at an angle saw the light, so that the model's own exit law counts."""
+    cos_view: float
+    slant: float
+    """Product of the sines of beam and view inside: what hangs on the camera's side of the beam grows with it."""
+    binned: bool
+    inner: int
+    """Annuli, in order of radius, with 12 nodes."""
+    blurred: bool
+    blur_inner: int
+    """Radii, in order, whose blur takes 48 nodes."""
+    held: Kind
+    """What back and walls the sample has."""
+
+
+class Rings(Protocol):
+    """Where curves have values."""
+
+    @property
+    def r_lo(self) -> Any: ...
+
+    @property
+    def r_hi(self) -> Any:
+        """(b, u); equal where a value belongs to a radius and not to an annulus."""
+        ...
+
+    @property
+    def arc(self) -> Any:
+        """(b, u): pixels lie within ± this of the line across the view [rad]; π/2 is the whole circle."""
+        ...
+
+    @property
+    def spot_radius(self) -> Any:
+        """(b, 1): 1/e²; 0 where it is not known."""
+        ...
+
+
 class QuadratureNodes(NamedTuple):
     """Radii at which the model is looked at [mm], and their weights in the mean over an annulus, by r dr."""
 
@@ -47,7 +87,7 @@ class Seen(NamedTuple):
     q: Any
 
 
-def nodes(e: Engine, sight: Sight, c: Curves) -> QuadratureNodes:
+def nodes(e: Engine, sight: Sight, c: Rings) -> QuadratureNodes:
     """Twelve a wide annulus, in ln r or from 0 in r, and three a narrow one."""
     xp = e.xp
     if not sight.binned:
@@ -89,7 +129,7 @@ def plain(e: Engine, log_sigma: Any, q: Any) -> Seen:
     return Seen(zero, zero, zero, log_sigma, q)
 
 
-def seen_at(e: Engine, sight: Sight, model: Light, c: Curves, log_sigma: Any, q: Any) -> Seen:
+def seen_at(e: Engine, sight: Sight, model: Light, c: Rings, log_sigma: Any, q: Any) -> Seen:
     """The ratio at a point, by the spot where `blurred`, by the camera's angle where `camera`."""
     xp = e.xp
     sigma = xp.exp(log_sigma)
@@ -166,6 +206,6 @@ def total_seen(e: Engine, sight: Sight, model: Light, q: Any) -> Any:
     return model.total_radiance_factor(e, q, sight.cos_view) / law
 
 
-def middles(e: Engine, c: Curves, log_sigma: Any) -> Any:
+def middles(e: Engine, c: Rings, log_sigma: Any) -> Any:
     """The middle of each annulus in mean free paths."""
     return e.xp.maximum(e.xp.exp(log_sigma) * (c.r_lo + c.r_hi) / 2, NEAREST_MFP)
