@@ -184,6 +184,7 @@ class _Near:
         self._apart, self._near = cKDTree(places).query(at, range(1, min(most, len(places)) + 1))
         self._cosines = np.einsum("ijk,ik->ij", normals[self._near], facing)
         self._aligned = np.maximum(self._cosines, 1e-6)
+        self._known: dict[float, csr_array] = {}
 
     def nearest_sum(self, values: Floats) -> Floats:
         """Of values (k,) over what each place is nearest to, (places,)."""
@@ -205,6 +206,11 @@ class _Near:
         return np.asarray(self._weights(radius).power(2) @ values)
 
     def _weights(self, radius: float) -> csr_array:
+        if radius not in self._known:
+            self._known[radius] = self._weighted(radius)
+        return self._known[radius]
+
+    def _weighted(self, radius: float) -> csr_array:
         nearest = self._apart[:, :1]
         weight = self._aligned * np.exp(-0.5 * (np.square(self._apart) - np.square(nearest)) / radius**2)
         weight /= weight.sum(axis=1, keepdims=True)
@@ -217,7 +223,8 @@ def sparse_faces(surface: BodySurface, spacing: float, seed: int) -> Integers:
     """One face of each cube of that side through which the surface runs, drawn by area."""
     centres = surface.vertices[surface.faces].mean(axis=1)
     cube = np.floor(centres / spacing).astype(np.int64)
+    cube -= cube.min(axis=0)
     late = np.random.default_rng(seed).exponential(size=len(centres)) / np.maximum(surface.triangle_areas(), 1e-300)
     order = np.argsort(late)
-    _, first = np.unique(cube[order], axis=0, return_index=True)
+    _, first = np.unique(np.ravel_multi_index(tuple(cube[order].T), cube.max(axis=0) + 1), return_index=True)
     return np.asarray(order[first], np.int64)

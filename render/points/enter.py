@@ -93,9 +93,15 @@ def spread_rare(light: Floats, areas: Floats) -> Floats:
     density = np.abs(light).sum(axis=(1, 2), dtype=np.float64)
     expected = np.maximum(_of_others(density, areas, _BLOCK), _of_others(density, areas, _BESIDE))
     most = np.minimum(_STANDS_OUT * expected, density)
-    kept = np.divide(most, density, out=np.ones_like(density), where=density > 0)[:, None, None]
-    flux = (1 - kept) * light * areas[:, None, None]
-    return np.asarray(kept * light + _summed(flux, _BLOCK) / _summed(areas, _BLOCK)[:, None, None])
+    rows = np.flatnonzero(density > most)
+    kept = (most[rows] / density[rows])[:, None, None]
+    block = np.arange(len(light)) // _BLOCK
+    spread = np.zeros((block[-1] + 1, *light.shape[1:]))
+    np.add.at(spread, block[rows], (1 - kept) * light[rows] * areas[rows, None, None])
+    spread /= np.bincount(block, areas)[:, None, None]
+    found = light.copy()
+    found[rows] *= kept
+    return np.asarray(found + spread[block])
 
 
 def _of_others(density: Floats, areas: Floats, size: int) -> Floats:

@@ -97,8 +97,7 @@ def _deposit(
     per_area = 3 / surface.triangle_areas()[face]
     for part, flux in zip(_flat(arrived), values, strict=True):
         for corner, share in enumerate((1 - u - v, u, v)):
-            light_here = np.array(flux, np.float64)[rows] * share * per_area
-            part[:, corner] += np.bincount(face, light_here, len(part))
+            np.add.at(part[:, corner], face, np.array(flux, np.float64)[rows] * share * per_area)
 
 
 def _flat(arrived: Arrived) -> list[Floats]:
