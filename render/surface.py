@@ -17,7 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bssrdf.errors import InputError
-from bssrdf.render.kernel import kernels
+from bssrdf.render.interface import transmittance_table
+from bssrdf.render.kernel import cosines, kernels
 from bssrdf.transport import nearest
 
 PLUGIN = "bssrdf_medium"
@@ -76,15 +77,21 @@ def register_medium(variant: str) -> None:
             value = self.eval(context, si, out.wo, active) / out.pdf
             return out, dr.select(active & (out.pdf > 0), value, 0)
 
-        def eval(self, context: Any, si: Any, wo: Any, active: Any) -> Any:
-            from bssrdf.transport.fresnel import exit_norm
+        @functools.cached_property
+        def _numbers(self) -> tuple[Any, Any]:
+            """η and R/(πC), opaque, so that one kernel serves all media."""
+            mu = cosines()
+            norm = 2 * np.trapezoid(transmittance_table(self.surface.eta, 0.0) * mu, mu)
+            over_lobes = mi.Spectrum((total_reflectance(self.surface) / (math.pi * norm)).tolist())
+            eta = mi.Float(self.surface.eta)
+            dr.make_opaque(eta, over_lobes)
+            return eta, over_lobes
 
-            surface = self.surface
-            reflected = mi.Spectrum(total_reflectance(surface).tolist())
+        def eval(self, context: Any, si: Any, wo: Any, active: Any) -> Any:
+            eta, over_lobes = self._numbers
             cos_i, cos_o = dr.abs(wo.z), dr.abs(si.wi.z)
-            lobe = (1 - mi.fresnel(cos_i, surface.eta)[0]) * (1 - mi.fresnel(cos_o, surface.eta)[0])
-            scale = 1 / (math.pi * float(exit_norm(surface.eta)))
-            return dr.select(active & (wo.z * si.wi.z > 0), reflected * lobe * cos_i * scale, 0)
+            lobe = (1 - mi.fresnel(cos_i, eta)[0]) * (1 - mi.fresnel(cos_o, eta)[0])
+            return dr.select(active & (wo.z * si.wi.z > 0), over_lobes * lobe * cos_i, 0)
 
         def pdf(self, context: Any, si: Any, wo: Any, active: Any) -> Any:
             return dr.select(active & (wo.z * si.wi.z > 0), dr.abs(wo.z) / math.pi, 0)
@@ -148,13 +155,11 @@ def extinction(surface: MediumBoundary) -> Floats:
 
 
 def total_reflectance(surface: MediumBoundary) -> Floats:
-    """R of the mean coefficients, shape (channels,)."""
-    from bssrdf.transport import scoped_x64  # needs JAX, which most pictures do without
-    from bssrdf.transport.dipole import total_r_of_ratio
-
+    """R of the mean coefficients by the Monte Carlo table, shape (channels,)."""
     sigma_a, sigma_sp = mean_coefficients(surface)
-    ratio = sigma_a / (sigma_a + sigma_sp)
-    return np.asarray(scoped_x64(total_r_of_ratio)(ratio, np.full_like(ratio, surface.eta)))
+    albedo, at_hand = sigma_sp / (sigma_a + sigma_sp), nearest(surface.eta, surface.g)
+    table = kernels(at_hand.eta, at_hand.g, np.unique(albedo))
+    return np.asarray(table.total[np.searchsorted(table.albedo, albedo)])
 
 
 def mean_coefficients(surface: MediumBoundary) -> Floats:

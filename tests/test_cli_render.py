@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import re
+import subprocess
+import sys
 import time
 from pathlib import Path
 
@@ -50,6 +52,21 @@ def test_a_picture_is_written_with_what_made_it_and_never_over_another(
     assert "exists already" in one_line(capsys)
     assert bssrdf(*command, "--force") == 0
     assert {path.name for path in tmp_path.iterdir()} == {"cube.exr", "cube.png"}
+
+
+@needs_renderer
+def test_a_picture_is_drawn_without_jax_once_its_kernels_are_known(tmp_path: Path) -> None:
+    command = ["render", "bust", "--method", "points", "--out", str(tmp_path / "bust"), "--force", *QUICK]
+    assert bssrdf(*command) == 0  # makes them
+    code = """
+import sys
+from bssrdf.cli import cli
+from bssrdf.commands.console import run
+assert run(cli, sys.argv[1:]) == 0
+assert "jax" not in sys.modules, "JAX takes as long to start as Mitsuba does"
+"""
+    done = subprocess.run([sys.executable, "-c", code, *command], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
 
 
 @needs_renderer
