@@ -14,7 +14,7 @@ from bssrdf.fit.jobs import FitOptions, Job, problem_of
 from bssrdf.fit.models import beside_of
 from bssrdf.fit.problem import Neighbours, Plan, Point, Problem
 from bssrdf.fit.solve import MAX_STEPS, NEAR, REST, Solution, optimise, settle
-from bssrdf.fit.starts import start, starts_of
+from bssrdf.fit.starts import misfit, start, starts_of
 from bssrdf.transport.arrays import NUMPY, picked, replaced
 from bssrdf.transport.light import Light
 
@@ -81,7 +81,7 @@ def searched(fitted: Fitted, rows: slice, *, compiled_for: int | None = None, si
     plan, model, data = fitted.plan, fitted.model, picked(fitted.data, rows)
     if compiled_for:
         return settled(plan, model, data, fitted.beside, compiled_for, single=single)
-    return settle(NUMPY, plan, model, data, start(NUMPY, plan, model, data, 0)[0], fitted.beside)
+    return settle(NUMPY, plan, model, data, start(NUMPY, plan, model, data, 0), fitted.beside)
 
 
 def _best(
@@ -122,11 +122,12 @@ class _Begun(NamedTuple):
 def _begun(
     plan: Plan, model: Light, data: Problem, rows: NDArray[np.int_], numbers: Sequence[int]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Rough optima (k, n, 3) of some rows from starts of these numbers, and their misfits (k, n)."""
+    """Rough optima (k, n, 3) of some rows from starts of these numbers, and the misfits (k, n) of several."""
     several = picked(data, np.tile(rows, len(numbers)))
-    point, misfit = start(NUMPY, plan, model, several, np.repeat(numbers, rows.size))
-    misfit = np.where(np.isfinite(misfit), misfit, np.inf)
-    return np.concatenate(point, axis=1).reshape(len(numbers), -1, 3), misfit.reshape(len(numbers), -1)
+    point = start(NUMPY, plan, model, several, np.repeat(numbers, rows.size))
+    found = misfit(NUMPY, plan, model, several, point) if len(numbers) > 1 else np.zeros(rows.size)
+    found = np.where(np.isfinite(found), found, np.inf)
+    return np.concatenate(point, axis=1).reshape(len(numbers), -1, 3), found.reshape(len(numbers), -1)
 
 
 def _followed(

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from bssrdf.fit.problem import Neighbours, Plan, Point, Problem
+from bssrdf.fit.problem import Neighbours, Plan, Problem
 from bssrdf.fit.solve import Solution, settle
 from bssrdf.fit.starts import start
 from bssrdf.transport.arrays import ById
@@ -50,8 +50,7 @@ def _runner(plan: Plan, key: ById, _: tuple[str, ...], slopes: Any) -> Callable[
     @jax.jit
     def run(curves: Any, totals: Any, sds: Any, samples: Any) -> Solution:
         data = Problem(curves, totals, sds, slopes, samples)
-        point, _ = start(engine, plan, key.it, data, 0)
-        return settle(engine, plan, key.it, data, Point(*point), held)
+        return settle(engine, plan, key.it, data, start(engine, plan, key.it, data, 0), held)
 
     def call(arrays: tuple[Any, ...], aside: dict[str, Any]) -> Solution:
         held.update(aside)

@@ -30,7 +30,7 @@ from bssrdf.transport.light import Light
 from bssrdf.transport.light_errors import EXIT_MODES, SIDE_MODES, TABLE_MODES
 from bssrdf.transport.observed import Sight
 
-POINTS = 130_000
+POINTS = 205_000
 """Radii that a batch looks at together: more would not fit the caches, with fewer each call of NumPy costs too much."""
 MOST_ROWS = 1024
 _BY_TILE: tuple[Source, ...] = ("scale", "length", "view")

@@ -104,8 +104,9 @@ def curves_of(pieces: Sequence[Slice], names: Sequence[str], window_mm: tuple[fl
         return out
 
     factor = camera_factor(pieces[0])
-    r = padded([channel.r_mm for channel in channels])
-    r_lo, r_hi = (padded(list(each)) for each in zip(*(edges(channel) for channel in channels), strict=True))
+    r = r_lo = r_hi = padded([channel.r_mm for channel in channels])
+    if any(channel.r_lo_mm is not None for channel in channels):
+        r_lo, r_hi = (padded(list(each)) for each in zip(*(edges(channel) for channel in channels), strict=True))
     rd, sd = (padded([getattr(channel, key) for channel in channels]) / factor for key in ("rd_per_mm2", "sd_per_mm2"))
     known, errors_known, filled = _known(r, rd, sd, there)
     data = _Data(r_lo, r_hi, _arc(pieces, r), rd, known, there & (r_hi > 0))  # light scattered once has no value at 0

@@ -6,7 +6,7 @@ with the weights as they are. Shapes: b problems; results are relative, (b, 2) i
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -81,10 +81,11 @@ def sample_error(plan: Plan, found: Solution, judged: Judged) -> Floats:
     return np.abs(moved) + np.abs(by_total) * np.max([np.zeros_like(found.point.q), *offs], axis=0)
 
 
-class _Few(NamedTuple):
+class Fewer(NamedTuple):
     """Some rows with fewer radii, which tell how two models differ."""
 
-    rows: NDArray[np.int_]
+    rows: Any
+    """Which: a slice where all, else their places."""
     nodes: tuple[NDArray[np.int_], ...]
     """By slice: which of the radii."""
     ahead: tuple[Floats, ...]
@@ -104,12 +105,14 @@ class _Few(NamedTuple):
         return found
 
 
-def _few(plan: Plan, data: Problem) -> Iterator[_Few]:
+def fewer(plan: Plan, data: Problem) -> list[Fewer]:
     """All rows, by how many of their radii stand for one, whatever rows are beside them."""
+    found = []
     radii = np.stack([(c.known != 0).any(axis=2).sum(axis=1) for c in data.curves], axis=1)
     steps = 2 ** np.log2(np.maximum(radii / ENOUGH, 1)).astype(int)
-    for each in np.unique(steps, axis=0):
-        rows = np.flatnonzero((steps == each).all(axis=1))
+    kinds = np.unique(steps, axis=0)
+    for each in kinds:
+        rows = np.flatnonzero((steps == each).all(axis=1)) if len(kinds) > 1 else slice(None)
         part = picked(data, rows)
         nodes = tuple(_every(c.r_lo.shape[1], step) for c, step in zip(part.curves, each, strict=True))
         sights = [
@@ -122,7 +125,8 @@ def _few(plan: Plan, data: Problem) -> Iterator[_Few]:
         ]
         ahead = tuple(_ahead(c.log_r, at) for c, at in zip(part.curves, nodes, strict=True))
         few = part._replace(curves=tuple(curves))
-        yield _Few(rows, nodes, ahead, plan._replace(sights=tuple(sights)), few)
+        found.append(Fewer(rows, nodes, ahead, plan._replace(sights=tuple(sights)), few))
+    return found
 
 
 def _at(sampled: Any, rows: NDArray[np.int_], nodes: NDArray[np.int_]) -> Any:
@@ -142,10 +146,10 @@ def _ahead(log_r: Floats, nodes: NDArray[np.int_]) -> Floats:
     return np.where(after > here, log_r - here, 0.0) / np.where(after > here, after - here, 1.0)
 
 
-def sensitivities(plan: Plan, data: Problem, found: Solution, judged: Judged, beside: Neighbours) -> dict[str, Floats]:
+def sensitivities(every: Sequence[Fewer], found: Solution, judged: Judged, beside: Neighbours) -> dict[str, Floats]:
     """d ln(σa, σs′) by η and g, as `d_ln_sigma_a_d_g`: by the model, and for η by the slice's convention as well."""
     out = {f"d_ln_{key}_d_{name}": np.empty(found.cost.size) for name in beside for key in ("sigma_a", "sigma_sp")}
-    for few in _few(plan, data) if beside else ():
+    for few in every if beside else ():
         point, answers = picked(found.point, few.rows), few.summed(judged.answer)
         here = [value[few.rows][:, at] for (value, *_), at in zip(judged.seen.curves, few.nodes, strict=True)]
         samples = tuple(_at(s, few.rows, at) for s, at in zip(found.laid.samples, few.nodes, strict=True))
@@ -153,14 +157,16 @@ def sensitivities(plan: Plan, data: Problem, found: Solution, judged: Judged, be
         turn, of_total = to_log(point.q), judged.total_answer[few.rows, :, None]
         for name, (made, step) in beside.items():
             other = made()
-            factors = [step * by_eta if name == "eta" else 0.0 for _, by_eta in data.factor_slopes]
+            factors = [step * by_eta if name == "eta" else 0.0 for _, by_eta in few.data.factor_slopes]
             laid = lay(E, few.plan._replace(shared=()), other, few.data, point, {})._replace(samples=samples)
             aside = look(E, few.plan, other, few.data, laid, point)
-            moved = np.zeros((few.rows.size, 2))
+            moved = np.zeros((point.q.shape[0], 2))
             for (value, *_), old, answer, factor in zip(aside.curves, here, answers, factors, strict=True):
                 change = np.log(np.maximum(value, 1e-300) / np.maximum(old, 1e-300)) + factor
                 moved -= ((turn @ answer) * change[:, None, :]).sum(2)
-            for k, (value, *_), old in zip(plan.totals, aside.totals, total_here, strict=False):  # one without R too
+            for k, (value, *_), old in zip(
+                few.plan.totals, aside.totals, total_here, strict=False
+            ):  # one without R too
                 moved -= (turn @ of_total)[:, :, 0] * (np.log(value / old) + factors[k]) / len(aside.totals)
             for column, key in enumerate(("sigma_a", "sigma_sp")):
                 out[f"d_ln_{key}_d_{name}"][few.rows] = moved[:, column] / step
@@ -187,13 +193,13 @@ class TableSays(NamedTuple):
     """Infinite where no medium of the table comes near."""
 
 
-def bias(plan: Plan, truth: Truth, data: Problem, found: Solution, judged: Judged, beside: Neighbours) -> Bias:
+def bias(every: Sequence[Fewer], truth: Truth, found: Solution, judged: Judged, beside: Neighbours) -> Bias:
     """At the medium found and then at that less its bias; how far the bias moves between the two is added."""
     b = found.cost.size
     error, pull, drift, same = np.empty((b, 2)), np.empty(b), np.empty(b), np.empty(b, bool)
     values = [np.maximum(value, TINY) for value, _, _ in judged.seen.curves]
     relative = [mass * value**2 for mass, value in zip(found.weights.mass, values, strict=True)]
-    for few in _few(plan, data):
+    for few in every:
         rows, of = few.rows, picked(found, few.rows)
         here = [value[rows][:, at] for value, at in zip(values, few.nodes, strict=True)]
         mass = tuple(part / value**2 for part, value in zip(few.summed(relative), here, strict=True))
@@ -212,7 +218,7 @@ def bias(plan: Plan, truth: Truth, data: Problem, found: Solution, judged: Judge
     return Bias(error, pull, drift, ~fits & ~same)
 
 
-def _bias_at(few: _Few, truth: Truth, found: Solution, at: Point, n: Floats) -> tuple[Floats, Judged]:
+def _bias_at(few: Fewer, truth: Truth, found: Solution, at: Point, n: Floats) -> tuple[Floats, Judged]:
     at = at._replace(q=np.clip(at.q, 1e-6, truth.table.q_max))
     light = _light_of(few.plan, truth.table, few.data, at)
     refit = refitted(few.plan, truth.dipole, light.data, found, Weights(found.weights.mass, light.means))

@@ -12,7 +12,7 @@ from bssrdf.fit.batch import Fitted, fit_group, surely_poor
 from bssrdf.fit.intervals import Profile, profile
 from bssrdf.fit.jobs import FitOptions, Job, groups_of
 from bssrdf.fit.models import DIPOLE_BEST, DIPOLE_SHARE, Truth, named, table_key, truth_of
-from bssrdf.fit.neighbours import TableSays, bias, dipole_on_light, sample_error, sensitivities, table_error
+from bssrdf.fit.neighbours import TableSays, bias, dipole_on_light, fewer, sample_error, sensitivities, table_error
 from bssrdf.fit.sample_verdict import thin_rows
 from bssrdf.fit.verdict import FEWEST, Extra, channel_fits, needs_profile, relative_sds
 from bssrdf.session.flags import Flag
@@ -133,7 +133,8 @@ def _subset(fitted: Fitted, rows: np.ndarray) -> Fitted:
 
 def extra_of(fitted: Fitted, making: Making) -> Extra:
     """What further models say of a batch."""
-    slopes = sensitivities(fitted.plan, fitted.data, fitted.found, fitted.judged, fitted.beside)
+    few = fewer(fitted.plan, fitted.data)
+    slopes = sensitivities(few, fitted.found, fitted.judged, fitted.beside)
     extra = Extra(_profiled(fitted), None, slopes, _others(fitted), None, True)
     of_sample = sample_error(fitted.plan, fitted.found, fitted.judged)
     if isinstance(fitted.model, WhiteTable):
@@ -143,7 +144,7 @@ def extra_of(fitted: Fitted, making: Making) -> Extra:
     truth = truth_of(piece, fitted.options.tables, making)
     if truth is None:
         return extra._replace(checked=False)
-    found = bias(fitted.plan, truth, fitted.data, fitted.found, fitted.judged, fitted.beside)
+    found = bias(few, truth, fitted.found, fitted.judged, fitted.beside)
     says = _by_table(fitted, truth, found.doubtful) if truth.own and fitted.plan.weighed else None
     error = np.hypot(of_sample, found.error)
     return extra._replace(model_error=error, bias=found, checked=truth.own, of_table=says)

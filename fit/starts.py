@@ -31,9 +31,8 @@ LOST = 3.0
 """Misfit, in ln, of a radius that a start puts beyond the model's reach."""
 
 
-def start(e: Engine, plan: Plan, model: Light, data: Problem, numbers: Any) -> tuple[Point, Any]:
-    """The rough optimum from one of several places, by one number (b,) each or the same, and its misfit (b,): inf
-    where it lost its radii."""
+def start(e: Engine, plan: Plan, model: Light, data: Problem, numbers: Any) -> Point:
+    """The rough optimum from one of several places, by one number (b,) each or the same."""
     few, plain = _few_of(e, plan, data)
     if plan.totals:
         q = q_of_total(e, model, e.xp.minimum(data.totals[0].r, 1.0))  # of a sample for each scale, in `_scanned`
@@ -45,8 +44,7 @@ def start(e: Engine, plan: Plan, model: Light, data: Problem, numbers: Any) -> t
     laid = lay_plainly(e, plain, model, few, begun)
     ended = optimise(e, plain, model, few, laid, begun, ROUGH, relay=True, most=START_STEPS)
     finite = e.xp.isfinite(sum(ended.point))
-    point = Point(*(e.xp.where(finite, new, old) for new, old in zip(ended.point, begun, strict=True)))
-    return point, _misfit(e, plain, model, few, point)
+    return Point(*(e.xp.where(finite, new, old) for new, old in zip(ended.point, begun, strict=True)))
 
 
 def starts_of(plan: Plan) -> tuple[tuple[int, ...], tuple[int, ...]]:
@@ -131,9 +129,11 @@ def _of_samples(e: Engine, plan: Plan, model: Light, few: Problem, log_sigma: An
     return e.xp.concatenate(parts, axis=2)
 
 
-def _misfit(e: Engine, plain: Plan, model: Light, few: Problem, at: Point) -> Any:
-    """Mean square of the relative misfit, cut at LOST for radii that the model does not reach or misses altogether."""
+def misfit(e: Engine, plan: Plan, model: Light, data: Problem, at: Point) -> Any:
+    """(b,): mean square of a start's relative misfit, cut at LOST for radii that the model does not reach or misses
+    altogether."""
     xp = e.xp
+    few, plain = _few_of(e, plan, data)
     laid = lay_plainly(e, plain, model, few, at)
     squares, count = 0.0, 0.0
     for k, c in enumerate(few.curves):

@@ -174,8 +174,8 @@ def test_both_engines_find_the_same_optimum(case: Case) -> None:
     model: Light = shipped_table(case.eta, case.g)
     aside = beside_of(model, pieces[0])
     jobs = [Job((piece,), "R") for piece in pieces]
-    plan, data = problem_of(jobs, OPTIONS.of_problem, model, aside)
-    ours = settle(NUMPY, plan, model, data, start(NUMPY, plan, model, data, 0)[0], aside)
+    plan, data = problem_of(jobs, OPTIONS, model, aside)
+    ours = settle(NUMPY, plan, model, data, start(NUMPY, plan, model, data, 0), aside)
     theirs = settled(plan, model, data, aside, 2)
     for a, b in zip(ours.point, theirs.point, strict=True):
         np.testing.assert_allclose(a, b, rtol=1e-6, atol=1e-8)

@@ -91,7 +91,7 @@ def nodes(e: Engine, sight: Sight, c: Rings) -> QuadratureNodes:
     """Twelve a wide annulus, in ln r or from 0 in r, and three a narrow one."""
     xp = e.xp
     if not sight.binned:
-        return QuadratureNodes(c.r_lo, xp.ones_like(c.r_lo))
+        return QuadratureNodes(c.r_lo, xp.ones_like(c.spot_radius))
     b, k = c.r_lo.shape[0], sight.inner
     lo, hi = c.r_lo[:, :k, None], c.r_hi[:, :k, None]
     t = (1 + xp.asarray(_FINE[0])) / 2
