@@ -51,6 +51,11 @@ class Fitted(NamedTuple):
     rival: Point
     """Another optimum that fits as well; NaN where there is none."""
 
+    def part(self, rows: NDArray[np.int_]) -> Fitted:
+        """Some of the rows."""
+        arrays = {name: picked(getattr(self, name), rows) for name in ("data", "found", "judged", "rival")}
+        return self._replace(jobs=[self.jobs[row] for row in rows], **arrays)
+
 
 def fit_group(
     jobs: Sequence[Job],

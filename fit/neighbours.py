@@ -12,15 +12,16 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from bssrdf.fit.batch import Fitted
 from bssrdf.fit.errors import Judged, judge
 from bssrdf.fit.laying import TINY, lay, look
 from bssrdf.fit.layout import Total
 from bssrdf.fit.models import Truth
-from bssrdf.fit.problem import Laid, Neighbours, Plan, Point, Problem, Weights
+from bssrdf.fit.problem import Plan, Point, Problem, Weights
 from bssrdf.fit.solve import Solution, optimise, settle
 from bssrdf.transport import R_ZERO, V_MAX
 from bssrdf.transport.arrays import NUMPY, picked
-from bssrdf.transport.light import Light, WhiteTable, coefficients, dipole, shape_of
+from bssrdf.transport.light import KNOT_STEP, Light, coefficients, dipole, shape_of
 from bssrdf.transport.observed import middles
 from bssrdf.transport.sample_light import curve_off, total_off
 
@@ -50,35 +51,36 @@ def to_log(q: Floats) -> Floats:
     return np.stack([np.stack([one, 2 / q], 1), np.stack([one, -2 * q / 3 / (1 - q * q / 3)], 1)], 1)
 
 
-def table_error(model: WhiteTable, data: Problem, found: Solution, judged: Judged) -> Floats:
+def table_error(fitted: Fitted) -> Floats:
     """From the Monte Carlo noise of the table's knots, which are independent."""
-    q = np.clip(np.abs(found.point.q), 1e-12, model.q_max)
-    knots = model.log_curve_sd.shape[1]
+    at, model = fitted.found.point, fitted.model
+    q = np.clip(np.abs(at.q), 1e-12, model.q_max)
+    knots = round(V_MAX / KNOT_STEP) + 1
     by_knot = np.zeros((2, q.shape[0] * knots))
-    for k, c in enumerate(data.curves):
-        t = np.clip(np.log1p(middles(E, c, found.point.log_sigma) / R_ZERO) / V_MAX, 0, 1) * (knots - 1)
-        at = np.minimum(t.astype(int), knots - 2)
-        moved, ahead = to_log(found.point.q) @ judged.answer[k], t - at
-        left = (at + knots * np.arange(q.shape[0])[:, None]).ravel()
+    for c, answer in zip(fitted.data.curves, fitted.judged.answer, strict=True):
+        t = np.clip(np.log1p(middles(E, c, at.log_sigma) / R_ZERO) / V_MAX, 0, 1) * (knots - 1)
+        knot = np.minimum(t.astype(int), knots - 2)
+        moved, ahead = to_log(at.q) @ answer, t - knot
+        left = (knot + knots * np.arange(q.shape[0])[:, None]).ravel()
         for of_one, share in zip(by_knot, moved.swapaxes(0, 1), strict=True):
-            for knot, part in ((left, share * (1 - ahead)), (left + 1, share * ahead)):
-                of_one += np.bincount(knot, part.ravel(), of_one.size)
+            of_one += np.bincount(left, (share * (1 - ahead)).ravel(), of_one.size)
+            of_one += np.bincount(left + 1, (share * ahead).ravel(), of_one.size)
     edges = R_ZERO * np.expm1(np.linspace(0, 1, knots) * V_MAX)
     sd = model.shape_sd(E, q, np.broadcast_to(edges, (q.shape[0], knots)))
     return np.sqrt(np.square(by_knot.reshape(2, *sd.shape) * sd).sum(2)).T
 
 
-def sample_error(plan: Plan, found: Solution, judged: Judged) -> Floats:
+def sample_error(fitted: Fitted) -> Floats:
     """From what the ratio to a half space may be off by, in the curve and in R, which go one way; they stand in the
     interval too."""
-    turn = to_log(found.point.q)
-    moved = np.zeros((found.point.q.shape[0], 2))
-    for laid, answer in zip(found.laid.samples, judged.answer, strict=True):
+    samples, judged, q = fitted.found.laid.samples, fitted.judged, fitted.found.point.q
+    turn, moved = to_log(q), np.zeros((q.shape[0], 2))
+    for laid, answer in zip(samples, judged.answer, strict=True):
         if laid:
             moved += ((turn @ answer) * curve_off(laid)[:, None, :]).sum(2)
     by_total = (turn @ judged.total_answer[:, :, None])[:, :, 0]
-    offs = [total_off(found.laid.samples[k]) for k in plan.totals if found.laid.samples[k]]
-    return np.abs(moved) + np.abs(by_total) * np.max([np.zeros_like(found.point.q), *offs], axis=0)
+    offs = [total_off(samples[k]) for k in fitted.plan.totals if samples[k]]
+    return np.abs(moved) + np.abs(by_total) * np.max([np.zeros_like(q), *offs], axis=0)
 
 
 class Fewer(NamedTuple):
@@ -146,8 +148,9 @@ def _ahead(log_r: Floats, nodes: NDArray[np.int_]) -> Floats:
     return np.where(after > here, log_r - here, 0.0) / np.where(after > here, after - here, 1.0)
 
 
-def sensitivities(every: Sequence[Fewer], found: Solution, judged: Judged, beside: Neighbours) -> dict[str, Floats]:
+def sensitivities(fitted: Fitted, every: Sequence[Fewer]) -> dict[str, Floats]:
     """d ln(σa, σs′) by η and g, as `d_ln_sigma_a_d_g`: by the model, and for η by the slice's convention as well."""
+    found, judged, beside = fitted.found, fitted.judged, fitted.beside
     out = {f"d_ln_{key}_d_{name}": np.empty(found.cost.size) for name in beside for key in ("sigma_a", "sigma_sp")}
     for few in every if beside else ():
         point, answers = picked(found.point, few.rows), few.summed(judged.answer)
@@ -193,9 +196,9 @@ class TableSays(NamedTuple):
     """Infinite where no medium of the table comes near."""
 
 
-def bias(every: Sequence[Fewer], truth: Truth, found: Solution, judged: Judged, beside: Neighbours) -> Bias:
+def bias(fitted: Fitted, every: Sequence[Fewer], truth: Truth) -> Bias:
     """At the medium found and then at that less its bias; how far the bias moves between the two is added."""
-    b = found.cost.size
+    found, judged, b = fitted.found, fitted.judged, len(fitted.jobs)
     error, pull, drift, same = np.empty((b, 2)), np.empty(b), np.empty(b), np.empty(b, bool)
     values = [np.maximum(value, TINY) for value, _, _ in judged.seen.curves]
     relative = [mass * value**2 for mass, value in zip(found.weights.mass, values, strict=True)]
@@ -203,7 +206,7 @@ def bias(every: Sequence[Fewer], truth: Truth, found: Solution, judged: Judged, 
         rows, of = few.rows, picked(found, few.rows)
         here = [value[rows][:, at] for value, at in zip(values, few.nodes, strict=True)]
         mass = tuple(part / value**2 for part, value in zip(few.summed(relative), here, strict=True))
-        laid = lay(E, few.plan, truth.dipole, few.data, of.point, beside)
+        laid = lay(E, few.plan, truth.dipole, few.data, of.point, fitted.beside)
         of = of._replace(laid=laid, weights=Weights(mass, mass))
         first, on_first = _bias_at(few, truth, of, of.point, judged.n)
         again, on_again = _bias_at(few, truth, of, _unbiased(of.point, first), judged.n)
@@ -219,47 +222,42 @@ def bias(every: Sequence[Fewer], truth: Truth, found: Solution, judged: Judged, 
 
 
 def _bias_at(few: Fewer, truth: Truth, found: Solution, at: Point, n: Floats) -> tuple[Floats, Judged]:
-    at = at._replace(q=np.clip(at.q, 1e-6, truth.table.q_max))
-    light = _light_of(few.plan, truth.table, few.data, at)
-    refit = refitted(few.plan, truth.dipole, light.data, found, Weights(found.weights.mass, light.means))
-    fitted, true = (np.concatenate(coefficients(p.log_sigma, p.q), axis=1) for p in (refit.point, at))
-    with np.errstate(divide="ignore", invalid="ignore"):
-        relative = fitted / true - 1
-    of_light = judge(E, few.plan, truth.dipole, light.data, refit, significant=0.0, n=n[few.rows])
-    return np.where(np.isfinite(relative), relative, np.nan), of_light
+    at, data, curves = _light_of(few.plan, truth.table, few.data, at)
+    refit = refitted(few.plan, truth.dipole, data, found, Weights(found.weights.mass, curves))
+    return _off(refit.point, at), judge(E, few.plan, truth.dipole, data, refit, significant=0.0, n=n[few.rows])
 
 
-def dipole_on_light(plan: Plan, truth: Light, data: Problem, at: Point) -> Floats:
-    """Relative error (b, 2) of the dipole fitted to the light of `truth` at these points, as the data lie."""
-    at = at._replace(q=np.clip(at.q, 1e-6, truth.q_max))
-    light = _light_of(plan, truth, data, at)
+def dipole_on_light(fitted: Fitted) -> Floats:
+    """Relative error (b, 2) of the dipole fitted to the model's own light at these optima, as the data lie."""
+    at, data, values = _light_of(fitted.plan, fitted.model, fitted.data, fitted.found.point)
     curves = tuple(
-        c._replace(rd=np.broadcast_to(mean[..., None], c.rd.shape))
-        for c, mean in zip(data.curves, light.means, strict=True)
+        c._replace(rd=np.broadcast_to(value[..., None], c.rd.shape))
+        for c, value in zip(data.curves, values, strict=True)
     )
-    of_dipole = plan._replace(shared=tuple(each for each in plan.shared if each.source not in _OF_MODELS))
-    ended = settle(E, of_dipole, dipole(truth.eta), light.data._replace(curves=curves), at, {})
-    fitted, true = (np.concatenate(coefficients(p.log_sigma, p.q), axis=1) for p in (ended.point, at))
-    with np.errstate(divide="ignore", invalid="ignore"):
-        error = np.abs(fitted / true - 1)
+    plan = fitted.plan._replace(shared=tuple(e for e in fitted.plan.shared if e.source not in _OF_MODELS))
+    ended = settle(E, plan, dipole(fitted.model.eta), data._replace(curves=curves), at, {})
+    error = np.abs(_off(ended.point, at))
     return np.where(np.isfinite(error) & ended.converged[:, None], error, np.inf)
 
 
-class _Light(NamedTuple):
-    data: Problem
-    means: tuple[Any, ...]
+def _off(found: Point, true: Point) -> Floats:
+    """Relative error of (σa, σs′), (b, 2), NaN where it is not finite."""
+    ours, theirs = (np.concatenate(coefficients(p.log_sigma, p.q), axis=1) for p in (found, true))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        off = ours / theirs - 1
+    return np.where(np.isfinite(off), off, np.nan)
 
 
-def _light_of(plan: Plan, truth: Light, data: Problem, at: Point) -> _Light:
-    """The data that `truth` would have made."""
-    bare = plan._replace(shared=())
-    laid: Laid = lay(E, bare, truth, data, at, {})
+def _light_of(plan: Plan, truth: Light, data: Problem, at: Point) -> tuple[Point, Problem, tuple[Any, ...]]:
+    """The point in the model's range, the data with the totals that `truth` has there, and its curves."""
+    at, bare = at._replace(q=np.clip(at.q, 1e-6, truth.q_max)), plan._replace(shared=())
+    laid = lay(E, bare, truth, data, at, {})
     looked = look(E, bare, truth, data, laid, at)
     totals = tuple(
         Total(total[0] * seen, each.sd)
         for each, total, seen in zip(data.totals, looked.totals, laid.total_seen, strict=False)
     )
-    return _Light(data._replace(totals=totals), tuple(value for value, _, _ in looked.curves))
+    return at, data._replace(totals=totals), tuple(value for value, _, _ in looked.curves)
 
 
 def refitted(plan: Plan, model: Light, data: Problem, found: Solution, weights: Weights) -> Solution:

@@ -18,8 +18,7 @@ from bssrdf.fit.verdict import FEWEST, Extra, channel_fits, needs_profile, relat
 from bssrdf.session.flags import Flag
 from bssrdf.session.records import ChannelFit, Slice
 from bssrdf.transport import NORMAL, SILENT, Making, has_light_table, shipped_table, tabulated
-from bssrdf.transport.arrays import picked
-from bssrdf.transport.light import Light, WhiteTable, coefficients, dipole
+from bssrdf.transport.light import Light, coefficients, dipole
 
 OTHER_G = (0.0, 0.35, 0.6, 0.8, 0.9)
 ETA_AWAY = 0.1
@@ -28,8 +27,6 @@ SPOTS_MFP = (0.25, 0.5, 1.0)
 """1/e² radii tried likewise, where none is stated."""
 MUCH_BETTER = 0.5
 """Of χ²: below this share another g, η or spot is more likely than the one given."""
-
-
 DEFAULT = FitOptions()
 
 
@@ -99,7 +96,7 @@ def batches(jobs: Sequence[Job], options: FitOptions, making: Making) -> Iterato
             continue
         rest = np.setdiff1d(np.arange(len(places)), simple)
         if rest.size:
-            yield [places[row] for row in rest], _subset(fitted, rest)
+            yield [places[row] for row in rest], fitted.part(rest)
         others = [members[row] for row in simple]
         again = fit_group(others, options, dipole(piece.eta), compiled_for=rows)
         yield [places[row] for row in simple], again
@@ -107,44 +104,24 @@ def batches(jobs: Sequence[Job], options: FitOptions, making: Making) -> Iterato
 
 def _dipole_will_do(fitted: Fitted) -> np.ndarray:
     """The rule of `models.RULE`: whether the dipole, fitted to the table's light, finds its medium."""
-    assert isinstance(fitted.model, WhiteTable)
     sd = relative_sds(fitted)
     good = fitted.found.converged & (sd > DIPOLE_BEST).all(axis=1)
     rows = np.flatnonzero(good)
     if rows.size:
-        part = _subset(fitted, rows)
-        error = dipole_on_light(part.plan, part.model, part.data, part.found.point)
-        good[rows] = (error < DIPOLE_SHARE * sd[rows]).all(axis=1)
+        good[rows] = (dipole_on_light(fitted.part(rows)) < DIPOLE_SHARE * sd[rows]).all(axis=1)
     return good
-
-
-def _subset(fitted: Fitted, rows: np.ndarray) -> Fitted:
-    judged = fitted.judged
-    return fitted._replace(
-        jobs=[fitted.jobs[row] for row in rows],
-        data=picked(fitted.data, rows),
-        found=picked(fitted.found, rows),
-        judged=picked(judged._replace(sources={}), rows)._replace(
-            sources={name: each[rows] for name, each in judged.sources.items()}
-        ),
-        rival=picked(fitted.rival, rows),
-    )
 
 
 def extra_of(fitted: Fitted, making: Making) -> Extra:
     """What further models say of a batch."""
-    few = fewer(fitted.plan, fitted.data)
-    slopes = sensitivities(few, fitted.found, fitted.judged, fitted.beside)
-    extra = Extra(_profiled(fitted), None, slopes, _others(fitted), None, True)
-    of_sample = sample_error(fitted.plan, fitted.found, fitted.judged)
-    if isinstance(fitted.model, WhiteTable):
-        error = np.hypot(of_sample, table_error(fitted.model, fitted.data, fitted.found, fitted.judged))
-        return extra._replace(model_error=error)
-    piece = fitted.jobs[0].pieces[0]
-    truth = truth_of(piece, fitted.options.tables, making)
+    few, of_sample = fewer(fitted.plan, fitted.data), sample_error(fitted)
+    extra = Extra(_profiled(fitted), sensitivities(fitted, few), _others(fitted))
+    if not fitted.model.biased:
+        return extra._replace(model_error=np.hypot(of_sample, table_error(fitted)))
+    truth = truth_of(fitted.jobs[0].pieces[0], fitted.options.tables, making)
     if truth is None:
         return extra._replace(checked=False)
-    found = bias(few, truth, fitted.found, fitted.judged, fitted.beside)
+    found = bias(fitted, few, truth)
     says = _by_table(fitted, truth, found.doubtful) if truth.own and fitted.plan.weighed else None
     error = np.hypot(of_sample, found.error)
     return extra._replace(model_error=error, bias=found, checked=truth.own, of_table=says)
@@ -157,7 +134,7 @@ def _by_table(fitted: Fitted, truth: Truth, doubted: np.ndarray) -> TableSays:
     rows = np.flatnonzero(doubted & fitted.found.converged & fitted.judged.errors_known & (fitted.judged.n >= FEWEST))
     if rows.size:
         table = truth.table._replace(window_mfp=fitted.model.window_mfp)
-        part = _subset(fitted, rows)
+        part = fitted.part(rows)
         again = fit_group(part.jobs, fitted.options, table, begin=part.found.point)
         good = again.found.converged
         says.pull[rows] = np.where(good, again.judged.pull, 0.0)
@@ -169,7 +146,7 @@ def _profiled(fitted: Fitted) -> tuple[np.ndarray, Profile] | None:
     wanted = np.flatnonzero(needs_profile(fitted) & fitted.found.converged & (fitted.judged.n >= FEWEST))
     if not wanted.size:
         return None
-    part = _subset(fitted, wanted)
+    part = fitted.part(wanted)
     grown = np.where(
         part.judged.errors_known, part.judged.grown / part.found.ease, np.maximum(part.judged.chi2, 1e-300)
     )
@@ -183,7 +160,7 @@ def _others(fitted: Fitted) -> list[tuple[str, ...]]:
     poor = np.flatnonzero(surely_poor(fitted.judged) & fitted.found.converged & ~thin_rows(fitted))
     if not poor.size or fitted.model.biased or table_key(fitted.jobs[0].pieces[0]).beam != NORMAL:
         return raised
-    part = _subset(fitted, poor)
+    part = fitted.part(poor)
     for flag, jobs, model in _readings(part):
         again = fit_group(jobs, part.options, model, begin=part.found.point)
         for row in poor[_fits_better(part, again)]:

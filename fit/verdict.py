@@ -68,14 +68,14 @@ class Extra(NamedTuple):
 
     profiled: tuple[NDArray[np.int_], Profile] | None
     """Rows whose σa has a profile, and those."""
-    model_error: Floats | None
-    """(b, 2), relative, of σa and σs′; None where no table tells."""
     sensitivity: Mapping[str, Floats]
     other_models: Sequence[tuple[str, ...]]
-    """Flags of rows that another g or η fits far better."""
-    bias: Bias | None
+    """Flags of rows that another g, η or spot fits far better."""
+    model_error: Floats | None = None
+    """(b, 2), relative, of σa and σs′; None where no table tells."""
+    bias: Bias | None = None
     """That of a model which a table tells."""
-    checked: bool
+    checked: bool = True
     """False where no table of the medium itself was at hand."""
     of_table: TableSays | None = None
 

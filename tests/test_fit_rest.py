@@ -115,7 +115,7 @@ def test_light_beyond_the_end_of_the_table_does_not_count() -> None:
 def test_a_table_s_model_error_is_the_spread_of_fits_to_its_noise(name: str) -> None:
     one = fitted([trial(name)])
     assert isinstance(one.model, WhiteTable)
-    stated = table_error(one.model, one.data, one.found, one.judged)[0]
+    stated = table_error(one)[0]
     rng = np.random.default_rng(0)
     rows = np.zeros(300, int)
     (curves,), knots = one.data.curves, one.model.log_curve_sd.shape[1]

@@ -166,13 +166,15 @@ def _chosen(xp: Any, test: Any, a: Any, b: Any) -> Any:
 
 
 def picked(tree: Any, rows: Any) -> Any:
-    """Some rows of the arrays in nested tuples, one that stands twice picked once; what is not an array stays."""
+    """Some rows of the arrays in nested tuples and dicts, one that stands twice picked once; all else stays."""
     made: dict[int, Any] = {}
 
     def of(each: Any) -> Any:
         if isinstance(each, tuple):
             parts = [of(part) for part in each]
             return type(each)(*parts) if hasattr(each, "_fields") else tuple(parts)
+        if isinstance(each, dict):
+            return {name: of(part) for name, part in each.items()}
         if not isinstance(each, np.ndarray):
             return each
         if id(each) not in made:
