@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from bssrdf.errors import InputError
 from bssrdf.render.medium import Media
-from bssrdf.render.mesh_file import openings
+from bssrdf.render.points.spread import openings
 from bssrdf.render.surface import mean_coefficients
 
 _LOOKS = 256

@@ -1,4 +1,4 @@
-"""Meshes: files of triangles read and scaled, and the bodies among them that are open."""
+"""Meshes: files of triangles, read and scaled."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bssrdf.errors import InputError
 from bssrdf.render.surface_nets import TriangleMesh
@@ -31,6 +30,8 @@ def read_mesh(path: Path, *, height_mm: float | None = None) -> MeshFile:
         raise InputError(f"{path}: not a mesh that can be read; convert it to {', '.join(FORMATS)}")
     if not path.is_file():
         raise InputError(f"{path}: is not there; check the path")
+    if lack := _lack(path):
+        raise InputError(f"{path}: {lack}; save it anew")
     if height_mm is not None and not 0 < height_mm < float("inf"):
         raise InputError(f"height {height_mm:g} mm is not above 0; give the height of the figure")
     loaded = _load(path)
@@ -109,6 +110,15 @@ def _agree(vertices: np.ndarray, faces: np.ndarray, normals: np.ndarray) -> bool
     return bool(np.median(np.einsum("ij,ij->i", normals, face_normals(vertices, faces))) > 0)
 
 
+def _lack(path: Path) -> str:
+    """What Mitsuba names by another cause."""
+    content = path.read_bytes()
+    if not content.strip():
+        return "is empty"
+    faceless = path.suffix.lower() == ".obj" and not any(line.startswith(b"f ") for line in content.splitlines())
+    return "has no faces" if faceless else ""
+
+
 def _load(path: Path) -> Any:
     use_variant()
     import mitsuba as mi
@@ -142,38 +152,3 @@ def around(vertices: np.ndarray) -> np.ndarray:
     x, y = (vertices[:, :2] - (low + high)[:2] / 2).T
     u = np.arctan2(x, -y) / (2 * np.pi) + 0.5
     return np.stack([u, (vertices[:, 2] - low[2]) / (high[2] - low[2])], axis=1)
-
-
-OPEN_SHAPES = ("Rectangle", "Disk", "Cylinder")
-
-
-def openings(shapes: list[Any]) -> list[str]:
-    """One line for each shape that is open."""
-    return [
-        f'shape "{shape.id()}" is open ({how}): its translucency is that of a half space under it'
-        for shape in shapes
-        if (how := _opening(shape))
-    ]
-
-
-def _opening(shape: Any) -> str:
-    if not shape.is_mesh():
-        kind = shape.class_name()
-        return kind.lower() if kind in OPEN_SHAPES else ""
-    corners = np.array(shape.vertex_positions_buffer()).reshape(-1, 3)
-    faces = np.array(shape.faces_buffer()).reshape(-1, 3)
-    free = free_edges(corners, faces)
-    return f"{free} edges of one face only" if free else ""
-
-
-def free_edges(corners: NDArray[np.floating[Any]], faces: NDArray[np.integer[Any]]) -> int:
-    """Edges that an odd number of faces share; corners at one place, as at a seam of the texture, are one."""
-    order = np.lexsort(corners.T)
-    new = np.any(np.diff(corners[order], axis=0) != 0, axis=1)
-    place = np.empty(len(corners), np.int64)
-    place[order] = np.concatenate([[0], np.cumsum(new)])[: len(corners)]
-    merged = place[faces]
-    edges = np.sort(np.stack([merged, np.roll(merged, -1, axis=1)], axis=-1).reshape(-1, 2), axis=1)
-    edges = edges[edges[:, 0] != edges[:, 1]]
-    _, counts = np.unique(edges[:, 0] * len(corners) + edges[:, 1], return_counts=True)
-    return int(np.count_nonzero(counts % 2))

@@ -105,6 +105,24 @@ def test_a_mesh_inside_out_is_turned_and_told(tmp_path: Path, inward: bool, norm
     assert np.all(np.einsum("ij,ij->i", mesh.normals, mesh.vertices - mesh.vertices.mean(axis=0)) > 0)
 
 
+@pytest.mark.parametrize(
+    ("name", "text", "words"),
+    [
+        ("empty.ply", "", "is empty"),
+        ("empty.obj", "\n", "is empty"),
+        ("points.obj", "v 0 0 0\nv 1 0 0\nv 0 1 1\n", "has no faces"),
+        ("broken.ply", "hello\n", "cannot be read as a mesh"),
+    ],
+)
+def test_a_file_without_a_mesh_says_what_is_missing(tmp_path: Path, name: str, text: str, words: str) -> None:
+    from bssrdf.errors import InputError
+    from bssrdf.render import read_mesh
+
+    (tmp_path / name).write_text(text)
+    with pytest.raises(InputError, match=f"{name}: {words}"):
+        read_mesh(tmp_path / name)
+
+
 def test_a_black_picture_is_told() -> None:
     from bssrdf.render import Goal, RenderOptions, find_medium, render
     from bssrdf.render.scenes.record import Body, Scene, Viewpoint

@@ -13,7 +13,7 @@ import mitsuba as mi
 import numpy as np
 
 from bssrdf.render.medium import Media
-from bssrdf.render.mesh_file import mitsuba_mesh, openings
+from bssrdf.render.mesh_file import mitsuba_mesh
 from bssrdf.render.paths import EXITANCE, Settings, Tracer
 from bssrdf.render.points.blend import Viewer, mended
 from bssrdf.render.points.enter import Arrived, arrive
@@ -22,7 +22,7 @@ from bssrdf.render.points.fineness import spots_on, target_edge, viewer_of
 from bssrdf.render.points.gather import gather
 from bssrdf.render.points.mirrored import mirrored
 from bssrdf.render.points.record import BodySurface, Floats, LightPlan
-from bssrdf.render.points.spread import is_closed, refine, surface_of
+from bssrdf.render.points.spread import is_closed, openings, parts_of, refine, surface_of
 from bssrdf.render.points.walk import Inside
 
 Progress = Callable[[str, int, int], None]
@@ -45,8 +45,10 @@ def prepare(scene: Any, sensor: Any | None, settings: Settings, plan: LightPlan,
     media = Media(scene, settings.kernel)
     for line in openings(media.shapes) + media.remarks():
         warnings.warn(line, stacklevel=2)
-    surfaces = [_refined(scene, shape, media, sensor, plan) for shape in media.shapes]
-    meshes = [_mesh(shape, surface) for shape, surface in zip(media.shapes, surfaces, strict=True)]
+    refined = [(shape, _refined(scene, shape, media, sensor, plan)) for shape in media.shapes]
+    parts = [(shape, part) for shape, surface in refined for part in parts_of(surface)]
+    surfaces = [surface for _, surface in parts]
+    meshes = [_mesh(shape, surface) for shape, surface in parts]
     finer = _rebuilt(scene, media.shapes, meshes)
     inner = replace(settings, local=True, max_depth=Settings.max_depth, hide_emitters=False, mirrors_apart=True)
     first = Tracer(finer, inner)
@@ -54,11 +56,11 @@ def prepare(scene: Any, sensor: Any | None, settings: Settings, plan: LightPlan,
 
     def lit(tracer: Tracer, what: str) -> list[_LitBody]:
         found = []
-        for number, (shape, mesh, surface) in enumerate(zip(media.shapes, meshes, surfaces, strict=True)):
+        for number, (mesh, surface) in enumerate(zip(meshes, surfaces, strict=True)):
             if progress is not None:
-                progress(f"light into {shape.id()}{what}", number, len(meshes))
+                progress(f"light into {mesh.id()}{what}", number, len(meshes))
             arrived = arrive(tracer, mesh, surface, plan.light_samples, plan.seed) + by_mirror[number]
-            found.append(_LitBody(shape.id(), mesh, surface, arrived))
+            found.append(_LitBody(mesh.id(), mesh, surface, arrived))
         for body in found:
             _leave(tracer.media, body, found, viewer_of(sensor), plan)
         return found

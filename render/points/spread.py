@@ -13,12 +13,19 @@ from typing import Any
 
 import mitsuba as mi
 import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 from bssrdf.render.mesh_file import face_normals
 from bssrdf.render.points.record import BodySurface, Floats, Integers
 
+OPEN_SHAPES = ("Rectangle", "Disk", "Cylinder")
+
 Target = Callable[[Floats, Floats], Floats]
 """The longest edge allowed at places (n, 3) where the surface has normals (n, 3)."""
+_MOST_PARTS = 100
+"""Of a mesh that may be bodies of their own: each costs seconds; hair and leaves are one."""
 _ROUND = 96
 """Edges round a ball, a disk or a cylinder: a chord stays within 5·10⁻⁴ of the radius."""
 
@@ -58,14 +65,64 @@ def _placed(surface: BodySurface, shape: Any) -> BodySurface:
     return BodySurface(vertices, -normals if flipped else normals, surface.uv, faces)
 
 
+def openings(shapes: list[Any]) -> list[str]:
+    """One line for each shape that is open."""
+    return [
+        f'shape "{shape.id()}" is open ({how}): its translucency is that of a half space under it'
+        for shape in shapes
+        if (how := _opening(shape))
+    ]
+
+
+def _opening(shape: Any) -> str:
+    if not shape.is_mesh():
+        kind = shape.class_name()
+        return kind.lower() if kind in OPEN_SHAPES else ""
+    free = _free_edges(_of_mesh(shape))
+    return f"{free} edges of one face only" if free else ""
+
+
 def is_closed(surface: BodySurface) -> bool:
     """Does every edge have a face on either side?"""
+    return _free_edges(surface) == 0
+
+
+def _free_edges(surface: BodySurface) -> int:
+    """Edges that an odd number of faces share."""
     _, place = surface.places()
     corners = place[surface.faces]
     corners = corners[(corners != np.roll(corners, 1, axis=1)).all(axis=1)]
     edges = np.sort(np.stack([corners, np.roll(corners, -1, axis=1)], axis=-1).reshape(-1, 2), axis=1)
     _, counts = np.unique(edges[:, 0] * (place.max() + 1) + edges[:, 1], return_counts=True)
-    return bool(np.all(counts % 2 == 0))
+    return int(np.count_nonzero(counts % 2))
+
+
+def parts_of(surface: BodySurface) -> list[BodySurface]:
+    """The closed parts of a surface whose boxes lie apart, bodies of their own: inside no light goes from one to another.
+
+    Parts whose boxes overlap may run through each other, or one may be a cavity in the other: they stay together.
+    """
+    first, place = surface.places()
+    faces = place[surface.faces]
+    links = coo_array(
+        (np.ones(faces.size, bool), (faces.ravel(), np.roll(faces, 1, axis=1).ravel())), (len(first),) * 2
+    )
+    count, part = connected_components(links, directed=False)
+    if not 1 < count <= _MOST_PARTS or not is_closed(surface):
+        return [surface]
+    low, high = np.full((count, 3), np.inf), np.full((count, 3), -np.inf)
+    np.minimum.at(low, part, surface.vertices[first])
+    np.maximum.at(high, part, surface.vertices[first])
+    overlap = np.all((low[:, None] <= high) & (low <= high[:, None]), axis=2)
+    bodies, of_part = connected_components(overlap, directed=False)
+    of_face = of_part[part[faces[:, 0]]]
+    return [_only(surface, of_face == body) for body in range(bodies)] if bodies > 1 else [surface]
+
+
+def _only(surface: BodySurface, chosen: NDArray[np.bool_]) -> BodySurface:
+    """These faces of it, and their vertices."""
+    used, faces = np.unique(surface.faces[chosen], return_inverse=True)
+    return BodySurface(surface.vertices[used], surface.normals[used], surface.uv[used], faces.reshape(-1, 3))
 
 
 def _net(u: Floats, v: Floats, at: Callable[[Floats, Floats], tuple[Floats, Floats]]) -> BodySurface:
