@@ -13,7 +13,7 @@ from bssrdf.fit.errors import SCATTERED, Judged, judge
 from bssrdf.fit.jobs import FitOptions, Job, problem_of
 from bssrdf.fit.models import beside_of
 from bssrdf.fit.problem import Neighbours, Plan, Point, Problem
-from bssrdf.fit.solve import MAX_STEPS, NEAR, REST, Solution, optimise, settle
+from bssrdf.fit.solve import GAINED, MAX_STEPS, NEAR, REST, Solution, optimise, settle
 from bssrdf.fit.starts import misfit, start, starts_of
 from bssrdf.transport.arrays import NUMPY, picked, replaced
 from bssrdf.transport.light import Light
@@ -171,15 +171,17 @@ def _is_far(data: Problem, found: Solution) -> NDArray[np.bool_]:
 
 
 def _at_rest(plan: Plan, model: Light, data: Problem, begin: Point, aside: Neighbours) -> Solution:
-    """`settle`, and again with more patience for those on a long way: far out, where light falls by decades, each turn
-    goes part of it."""
+    """`settle`, and again with more patience for those on a long way, where light falls by decades and each turn goes
+    part of it. One that goes round in a circle gains nothing and ends."""
     found = settle(NUMPY, plan, model, data, begin, aside)
-    for _ in range(FURTHER):
-        far = np.flatnonzero(~found.converged & np.isfinite(found.cost))
+    far = np.flatnonzero(~found.converged & np.isfinite(found.cost))
+    for _ in range(FURTHER if far.size else 0):
+        rest = settle(NUMPY, plan, model, picked(data, far), picked(found.point, far), aside, most=MAX_STEPS)
+        gains = rest.cost < found.cost[far] - GAINED
+        found = replaced(found, far, rest)
+        far = far[gains & ~rest.converged]
         if not far.size:
             break
-        rest = settle(NUMPY, plan, model, picked(data, far), picked(found.point, far), aside, most=MAX_STEPS)
-        found = replaced(found, far, rest)
     return found
 
 
