@@ -23,6 +23,8 @@ FLOOR_Q = 1e-6
 CLOSE = 1e-6
 """In ln σa, where a bound has been found."""
 PROBES = 60
+LEAST_RISE = 1e-3
+"""Of the rise that is asked for: less, or none, counts as so much."""
 
 
 class Profile(NamedTuple):
@@ -52,34 +54,39 @@ def profile(plan: Plan, model: Light, data: Problem, found: Solution, inflation:
     best = log_a_of(np.maximum(found.point.q, FLOOR_Q))
     lowest, sigma_sp = held(best)
 
-    def bound(rise: float, edge: float) -> tuple[Floats, Any]:
+    def bound(rise: Floats | float, edge: float) -> tuple[Floats, Any]:
         """σa where the cost has risen by `rise` on the way to q = `edge`, and whether it has risen so much there."""
+
+        def risen(log_a: Floats) -> Floats:
+            """ln of how far the cost has risen, over `rise`: beyond the bound all but even with ln σa."""
+            return np.log(np.maximum((held(log_a)[0] - lowest) / rise, LEAST_RISE))
+
         near, far = best, log_a_of(edge)
-        near_rise = np.full_like(lowest, -rise)
-        far_rise = held(far)[0] - lowest - rise
+        near_rise, far_rise = np.full_like(lowest, np.log(LEAST_RISE)), risen(far)
         crossed = far_rise >= 0
-        middle = far
+        middle, was_below = far, np.full(lowest.size, 2)
         for _ in range(PROBES):  # Illinois: a secant that never keeps an end for long
             slope = np.where(far_rise != near_rise, far_rise - near_rise, 1.0)
             middle = near - near_rise[:, None] * (far - near) / slope[:, None]
             middle = np.where(np.isfinite(middle), middle, (near + far) / 2)
             middle = np.clip(middle, np.minimum(near, far), np.maximum(near, far))  # beyond, where nothing has crossed
-            here = held(middle)[0] - lowest - rise
+            here = risen(middle)
             below = here < 0
-            far_rise = np.where(below, far_rise / 2, here)
-            near_rise = np.where(below, here, near_rise / 2)
+            halved = np.where(below == was_below, 0.5, 1.0)
+            far_rise = np.where(below, far_rise * halved, here)
+            near_rise = np.where(below, here, near_rise * halved)
+            was_below = below
             near, far = np.where(below[:, None], middle, near), np.where(below[:, None], far, middle)
             if np.all((np.abs(here) < CLOSE) | (np.abs(far - near)[:, 0] < CLOSE) | ~crossed):
                 break
         return np.exp(middle)[:, 0], crossed
 
     lower, two_sided = bound(TWO_SIDED, FLOOR_Q)
-    upper, ends = bound(TWO_SIDED, model.q_max)
-    one_sided, one_ends = bound(ONE_SIDED, model.q_max)
     above = two_sided & (found.point.q[:, 0] > FLOOR_Q)
+    upper, ends = bound(np.where(above, TWO_SIDED, ONE_SIDED), model.q_max)
     return Profile(
         sigma_a=np.where(found.point.q[:, 0] > FLOOR_Q, np.exp(best)[:, 0], 0.0),
         sigma_sp=sigma_sp,
         lower=np.where(above, lower, 0.0),
-        upper=np.where(above, np.where(ends, upper, np.inf), np.where(one_ends, one_sided, np.inf)),
+        upper=np.where(ends, upper, np.inf),
     )
