@@ -26,34 +26,28 @@ def settled(plan: Plan, model: Light, data: Problem, aside: Neighbours, rows: in
     """
     import jax
 
-    asked = {each.source for each in plan.shared} & set(aside)
-    run = _runner(plan, ById(model), tuple(sorted(asked)), data.factor_slopes)
+    run = _runner(plan, ById(model), ById(aside), data.factor_slopes)
     extra = rows - data.curves[0].r_lo.shape[0]
     arrays = (data.curves, data.totals, data.sds, data.samples)
     padded = jax.tree.map(lambda x: np.concatenate([x, np.repeat(x[-1:], extra, axis=0)]) if extra else x, arrays)
     exact = jax.default_matmul_precision("highest")  # else a GPU multiplies float32 in 10 bits
     with jax.enable_x64(not single), jax.numpy_rank_promotion("allow"), exact:
-        ended = jax.block_until_ready(run(padded, {source: aside[source] for source in asked}))
+        ended = jax.block_until_ready(run(*padded))
         found: Solution = jax.tree.map(np.asarray, ended)  # which waits with the lock that JAX's first solve needs
     return jax.tree.map(lambda x: x[: rows - extra] if x.ndim else x, found)
 
 
 @lru_cache(maxsize=16)
-def _runner(plan: Plan, key: ById, _: tuple[str, ...], slopes: Any) -> Callable[..., Solution]:
+def _runner(plan: Plan, model: ById, aside: ById, slopes: Any) -> Callable[..., Solution]:
     import jax
 
     from bssrdf.transport.arrays import JaxEngine
 
     engine = JaxEngine()
-    held: dict[str, Any] = {}
 
-    @jax.jit
     def run(curves: Any, totals: Any, sds: Any, samples: Any) -> Solution:
         data = Problem(curves, totals, sds, slopes, samples)
-        return settle(engine, plan, key.it, data, start(engine, plan, key.it, data, 0), held)
+        return settle(engine, plan, model.it, data, start(engine, plan, model.it, data, 0), aside.it)
 
-    def call(arrays: tuple[Any, ...], aside: dict[str, Any]) -> Solution:
-        held.update(aside)
-        return run(*arrays)
-
-    return call
+    compiled: Callable[..., Solution] = jax.jit(run)
+    return compiled

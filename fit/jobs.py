@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple
 
@@ -23,7 +23,7 @@ from bssrdf.fit.problem import (
     Shared,
     Source,
 )
-from bssrdf.holding import Held, held, samples_of
+from bssrdf.holding import held, samples_of
 from bssrdf.session.records import Slice
 from bssrdf.transport import Policy
 from bssrdf.transport.light import Light
@@ -34,6 +34,8 @@ POINTS = 205_000
 """Radii that a batch looks at together: more would not fit the caches, with fewer each call of NumPy costs too much."""
 MOST_ROWS = 1024
 _BY_TILE: tuple[Source, ...] = ("scale", "length", "view")
+_DEPTH, _BACK = ("thickness", "thickness_rel_sd", "radius"), ("back", "back_sd")
+"""Of `Held`: what slices of one sample have in common."""
 
 
 @dataclass(frozen=True)
@@ -56,13 +58,6 @@ class Job(NamedTuple):
 
     pieces: tuple[Slice, ...]
     channel: str
-
-
-class _Totals(NamedTuple):
-    """Whether R is a condition, and the slices whose R counts."""
-
-    exact: bool
-    places: tuple[int, ...]
 
 
 class Cohort(NamedTuple):
@@ -119,7 +114,7 @@ def _key(job: Job, options: FitOptions) -> Any:
     parts = [piece.channels[job.channel] for piece in job.pieces]
     size = math.ceil(math.log2(max(len(part.r_mm) for part in parts)))
     binned = tuple(part.r_lo_mm is not None for part in parts)
-    several = (_sharing(job), _same(job, _depth_of), _same(job, _back_of)) if len(parts) > 1 else ()
+    several = (_sharing(job), _alike(job, *_DEPTH), _alike(job, *_BACK)) if len(parts) > 1 else ()
     return (tuple(map(_kind, job.pieces)), size, binned, _totals_of(job, options.constraint), several)
 
 
@@ -136,22 +131,14 @@ def _sharing(job: Job) -> tuple[int, ...]:
     return tuple(ids.index(name) if name is not None else at for at, name in enumerate(ids))
 
 
-def _same(job: Job, of: Callable[[Held], tuple[float, ...]]) -> tuple[int, ...]:
-    """For each slice the place of the first whose sample is held alike, in this respect: they share its error."""
-    found = [of(held(piece)) for piece in job.pieces]
+def _alike(job: Job, *keys: str) -> tuple[int, ...]:
+    """For each slice the place of the first whose sample is held alike, in these respects: they share the error."""
+    found = [[getattr(held(piece), key) for key in keys] for piece in job.pieces]
     return tuple(found.index(each) for each in found)
 
 
-def _depth_of(one: Held) -> tuple[float, ...]:
-    return one.thickness, one.thickness_rel_sd, one.radius
-
-
-def _back_of(one: Held) -> tuple[float, ...]:
-    return one.back, one.back_sd
-
-
-def _totals_of(job: Job, asked: Constraint | None) -> _Totals:
-    """By what was asked for, else by whether R has an error."""
+def _totals_of(job: Job, asked: Constraint | None) -> tuple[bool, tuple[int, ...]]:
+    """Whether R is a condition, and the slices whose R counts: as asked, else by whether R has an error."""
     name = job.channel
     sds = {at: p.total_r_sd.get(name, 0.0) for at, p in enumerate(job.pieces) if name in p.total_r}
     weighed = [at for at, sd in sds.items() if sd > 0]
@@ -160,7 +147,7 @@ def _totals_of(job: Job, asked: Constraint | None) -> _Totals:
     if asked == "soft" and not weighed:
         raise InputError(f"constraint soft needs total_r_sd for channel {name}: give it, or --constraint exact")
     if asked == "none" or not sds:
-        return _Totals(False, ())
+        return False, ()
     exact = asked == "exact" or not weighed
     once: dict[Any, int] = {}  # one R against the same tile with the same value counts once
     for at in sds if exact else weighed:
@@ -168,7 +155,7 @@ def _totals_of(job: Job, asked: Constraint | None) -> _Totals:
         once.setdefault((piece.shared_errors, piece.total_r[name], sds[at]) if piece.shared_errors else at, at)
     if exact and len(once) > 1:
         raise InputError(f"R of channel {name} has no error: give total_r_sd to weigh it, or --constraint none")
-    return _Totals(exact, tuple(once.values()))
+    return exact, tuple(once.values())
 
 
 def problem_of(jobs: Sequence[Job], options: FitOptions, model: Light, aside: Neighbours) -> tuple[Plan, Problem]:
@@ -183,16 +170,16 @@ def problem_of(jobs: Sequence[Job], options: FitOptions, model: Light, aside: Ne
     sds = tuple(
         Sds(*(np.array([[sd] for sd in of]) for of in zip(*map(_sds_of, each), strict=True))) for each in by_slice
     )
-    totals = _totals_of(first, options.constraint)
+    exact, totals = _totals_of(first, options.constraint)
     plan = Plan(
-        totals=totals.places,
-        exact=totals.exact,
+        totals=totals,
+        exact=exact,
         scale_free=options.scale == "free",
         robust=options.robust,
         sights=tuple(sights),
         shared=_shared(first, sights, sds, curves, model, aside),
     )
-    measured = tuple(total_of(by_slice[k], names) for k in totals.places)
+    measured = tuple(total_of(by_slice[k], names) for k in totals)
     samples = tuple(
         () if sight.held == "half" else samples_of(each) for sight, each in zip(sights, by_slice, strict=True)
     )
@@ -232,7 +219,7 @@ def _shared(
     for source in _BY_TILE:
         found += by_group(source, sharing, filmed if source == "view" else every)
     found += [Shared("spot", (k,)) for k in touched([k for k in every if sights[k].blurred], "spot")]
-    found += by_group("thickness", _same(job, _depth_of)) + by_group("back", _same(job, _back_of))
+    found += by_group("thickness", _alike(job, *_DEPTH)) + by_group("back", _alike(job, *_BACK))
     finite = tuple(k for k in every if sights[k].held != "half")
     found += [Shared("ratio", finite)] if finite else []
     found += [Shared(source, every) for source in OF_MEDIUM if source in aside and touched(every, source)]

@@ -26,6 +26,7 @@ ASSUMED_G = 0.0
 """Taken where a slice does not say g; the fit is flagged, since R depends on g at equal σs′."""
 G_STEP = 0.05
 ETA_STEP = 0.01
+_NONE: Neighbours = {}
 OBLIQUE_DEG = 10.0
 """Of the beam to the normal: from here on light enters aside of where a normal beam's does."""
 DIPOLE_SHARE = 0.3
@@ -91,7 +92,7 @@ def truth_of(piece: Slice, policy: Policy, making: Making) -> Truth | None:
 def beside_of(model: Light, piece: Slice) -> Neighbours:
     """A model's neighbours for a slice; none beside an oblique beam."""
     medium = table_key(piece)
-    return _beside(model.biased, medium.eta, medium.g) if medium.beam == NORMAL else {}
+    return _beside(model.biased, medium.eta, medium.g) if medium.beam == NORMAL else _NONE
 
 
 @lru_cache(maxsize=64)

@@ -14,6 +14,7 @@ from bssrdf.fit.problem import held_any
 from bssrdf.holding import Held, assumed, held
 from bssrdf.session.flags import Flag
 from bssrdf.session.records import Slice
+from bssrdf.transport.sample_light import Sampled
 
 NAN = float("nan")
 Bools = NDArray[np.bool_]
@@ -45,54 +46,50 @@ class InSample(NamedTuple):
     flags: Mapping[str, bool]
 
 
-NOTHING = InSample(NAN, NAN, NAN, {})
-"""Of slices that say nothing of depth, back or wall."""
-
-
 def in_samples(fitted: Fitted, *, share: Floats, rel_sd: Floats, off: Floats) -> list[InSample]:
     """From each row's optimum; `rel_sd` of σa with the `share` of its variance that depth and back have, `off` its
     relative model error."""
-    return [
-        _in_sample(fitted, row, *(float(each[row]) for each in (share, rel_sd, off)))
-        if any(_told(piece) for piece in job.pieces) else NOTHING
-        for row, job in enumerate(fitted.jobs)
-    ]  # fmt: skip
+    said = [any(_told(piece) for piece in job.pieces) for job in fitted.jobs]
+    nothing = InSample(NAN, NAN, NAN, {})
+    every = zip(said, share.tolist(), rel_sd.tolist(), off.tolist(), strict=True)
+    return [_in_sample(fitted, row, *of_row) if told else nothing for row, (told, *of_row) in enumerate(every)]
 
 
-def _in_sample(fitted: Fitted, row: int, of_sample: float, rel_sd: float, off: float) -> InSample:
-    pieces = fitted.jobs[row].pieces
+def _in_sample(fitted: Fitted, row: int, share: float, rel_sd: float, off: float) -> InSample:
+    pieces, channel = fitted.jobs[row].pieces, fitted.jobs[row].channel
     sigma_tp = math.exp(float(fitted.found.point.log_sigma[row, 0]))
-    q = max(float(fitted.found.point.q[row, 0]), 0.0)
-    every = [held(piece) for piece in pieces]
-    effects = [_effect(fitted, row, k) for k in range(len(pieces))]
-    depths = [one.thickness * sigma_tp for one in every if one.thickness < math.inf]
-    half_space = float(fitted.judged.seen.half[row, 0])
-    bright = half_space >= BRIGHT
-    thin = [_thin(one, sigma_tp, bright, THIN, THIN_ON_BLACK) for one in every]
-    narrow = [one.kind == "dish" and one.radius * sigma_tp < NARROW for one in every]
-    unknown = math.hypot(math.sqrt(of_sample) * rel_sd, off) > MOST_UNKNOWN
-    lost = half_space >= DARK and any(_thin(one, sigma_tp, True, LOST, LOST_ON_BLACK) for one in every)
+    q, half_space = float(fitted.found.point.q[row, 0]), float(fitted.judged.seen.half[row, 0])
+    every, bright = [held(piece) for piece in pieces], half_space >= BRIGHT
     finite = any(one.kind != "half" for one in every)
+    thin = any(_thin(one, sigma_tp, bright, THIN, THIN_ON_BLACK) for one in every)
+    narrow = any(one.kind == "dish" and one.radius * sigma_tp < NARROW for one in every)
+    unknown = bright and math.hypot(math.sqrt(share) * rel_sd, off) > MOST_UNKNOWN
+    lost = half_space >= DARK and any(_thin(one, sigma_tp, True, LOST, LOST_ON_BLACK) for one in every)
     needed = REACH / (q * sigma_tp) if q > 0 else math.inf
     flags: dict[str, bool] = {
-        Flag.BACK_DECIDES: finite and of_sample > 0.5,
+        Flag.BACK_DECIDES: finite and share > 0.5,
         Flag.BACKING_ASSUMED: any(assumed(piece)[1] for piece in pieces),
-        Flag.BACKING_UNKNOWN: any(_unknown_back(piece) for piece in pieces),
-        Flag.BEYOND_WALL: any(_beyond(piece, fitted.jobs[row].channel) for piece in pieces),
-        Flag.FINITE_SAMPLE: finite and not any(thin) and not any(narrow),
-        Flag.NARROW_SAMPLE: any(narrow) or _left_out(pieces, every, "width_mm", 2 * needed),
-        Flag.SIGMA_A_UNIDENTIFIABLE: finite and (lost or (bright and unknown)),
+        Flag.BACKING_UNKNOWN: any(
+            isinstance(piece.backing, str) and piece.backing not in ("black", "air") for piece in pieces
+        ),
+        Flag.BEYOND_WALL: any(
+            piece.width_mm is not None and (piece.channels[channel].r_mm > piece.width_mm / 2).any() for piece in pieces
+        ),
+        Flag.FINITE_SAMPLE: finite and not thin and not narrow,
+        Flag.NARROW_SAMPLE: narrow or _left_out(pieces, "width_mm", "radius", 2 * needed),
+        Flag.SIGMA_A_UNIDENTIFIABLE: finite and (lost or unknown),
         Flag.THICKNESS_ASSUMED: any(assumed(piece)[0] for piece in pieces),
-        Flag.THIN_SAMPLE: any(thin) or _left_out(pieces, every, "thickness_mm", needed),
+        Flag.THIN_SAMPLE: thin or _left_out(pieces, "thickness_mm", "thickness", needed),
         Flag.UNDER_GLASS: any(piece.cover == "glass" for piece in pieces),
     }
-    told = [each for each in effects if each is not None]
-    return InSample(
-        min(depths, default=NAN),
-        min((each[0] for each in told), default=NAN),
-        min((each[1] for each in told), default=NAN),
-        flags,
-    )
+    effects = [
+        _effect(laid, used, row)
+        for laid, used in zip(fitted.found.laid.samples, fitted.judged.used, strict=True)
+        if laid
+    ]
+    depths = [one.thickness * sigma_tp for one in every if one.thickness < math.inf]
+    log_totals, ratios = zip(*effects, strict=True) if effects else ((), ())
+    return InSample(min(depths, default=NAN), min(log_totals, default=NAN), min(ratios, default=NAN), flags)
 
 
 def thin_rows(fitted: Fitted) -> Bools:
@@ -113,27 +110,13 @@ def _thin(one: Held, sigma_tp: float, bright: bool, least: float, on_black: floa
     return one.thickness * sigma_tp < (on_black if bright and one.on_black else least)
 
 
-def _effect(fitted: Fitted, row: int, k: int) -> tuple[float, float] | None:
-    laid = fitted.found.laid.samples[k]
-    if not laid:
-        return None
-    used = fitted.judged.used[k][row]
-    least = float(np.exp(laid.log_ratio[row][used].min())) if used.any() else NAN
+def _effect(laid: Sampled, used: Bools, row: int) -> tuple[float, float]:
+    """ln of R over a half space's, and the curve's smallest ratio to that at the radii used."""
+    least = float(np.exp(laid.log_ratio[row][used[row]].min())) if used[row].any() else NAN
     return float(laid.log_total[row, 0]), least
 
 
-def _unknown_back(piece: Slice) -> bool:
-    return isinstance(piece.backing, str) and piece.backing not in ("black", "air")
-
-
-def _beyond(piece: Slice, channel: str) -> bool:
-    return piece.width_mm is not None and bool((piece.channels[channel].r_mm > piece.width_mm / 2).any())
-
-
-def _left_out(pieces: Sequence[Slice], every: Sequence[Held], key: str, needed_mm: float) -> bool:
+def _left_out(pieces: Sequence[Slice], key: str, length: str, needed_mm: float) -> bool:
     """Whether a size is too small for a half space and yet not allowed for."""
-    length = {"thickness_mm": "thickness", "width_mm": "radius"}[key]
-    return any(
-        getattr(piece, key) is not None and getattr(one, length) == math.inf and getattr(piece, key) < needed_mm
-        for piece, one in zip(pieces, every, strict=True)
-    )
+    stated = [piece for piece in pieces if getattr(piece, key) is not None]
+    return any(getattr(held(piece), length) == math.inf and getattr(piece, key) < needed_mm for piece in stated)
