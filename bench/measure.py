@@ -7,6 +7,7 @@ larger, with the noise of as many pixels. Frames are plain DNG.
 from __future__ import annotations
 
 import argparse
+import os
 import subprocess
 import sys
 import tempfile
@@ -77,14 +78,18 @@ def _enlarged(mosaic: np.ndarray, times: int) -> np.ndarray:
     return out
 
 
-def cost_of(*arguments: object) -> Cost:
-    """What a command of the project costs, in a process of its own."""
+def cost_of(*arguments: object, **environment: str) -> Cost:
+    """What a command of the project costs, in a process of its own, where these variables are set."""
     import resource  # of POSIX alone
 
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
     start = time.monotonic()
     done = subprocess.run(
-        [sys.executable, "-c", _AND_PEAK, *map(str, arguments)], check=True, capture_output=True, text=True
+        [sys.executable, "-c", _AND_PEAK, *map(str, arguments)],
+        check=True,
+        capture_output=True,
+        text=True,
+        env=os.environ | environment,
     )
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
     cpu = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime

@@ -41,7 +41,8 @@ def hdr(out: Path | None, force: bool) -> None:
     help="Append the ratios to SciPy, with the commit, to this file of JSON lines, and tell which have fallen.",
 )
 def fit(out: Path | None, force: bool, history: Path | None) -> None:
-    """The same curves by every model, by jaxopt and by SciPy."""
+    """The same curves by every model, by jaxopt and by SciPy; and what one `bssrdf fit` costs."""
+    from bssrdf.bench.camera_curves import command_seconds
     from bssrdf.bench.fit import ratios, run_fit_bench, table
     from bssrdf.bench.history import appended, read_ratios
     from bssrdf.report import steps
@@ -52,6 +53,8 @@ def fit(out: Path | None, force: bool, history: Path | None) -> None:
     with steps(quiet=is_quiet()) as progress:
         scores = run_fit_bench(out=out and fresh(out, force), progress=progress)
     click.echo(table(scores))
+    click.echo("\n`bssrdf fit` of a camera's slice, three channels, from a cold process:")
+    click.echo("{:.2f} CPU s with an empty cache, {:.2f} again".format(*command_seconds()))
     for remark in appended(history, ratios(scores)) if history is not None else ():
         click.echo(f"slower: {remark}", err=True)
 
