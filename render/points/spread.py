@@ -98,7 +98,7 @@ def _free_edges(surface: BodySurface) -> int:
 
 
 def parts_of(surface: BodySurface) -> list[BodySurface]:
-    """The closed parts of a surface whose boxes lie apart, bodies of their own: inside no light goes from one to another.
+    """The closed parts of a surface whose boxes lie apart, each a body: inside no light goes between them.
 
     Parts whose boxes overlap may run through each other, or one may be a cavity in the other: they stay together.
     """
