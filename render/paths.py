@@ -24,6 +24,8 @@ EXITANCE = "vertex_exitance"
 """Attribute of a mesh: the radiant exitance over R."""
 MIRRORS = 4
 """Of bodies in a row by which lamps are followed; light of more is left to chance."""
+MOST_LAMPS = 6
+"""That a point looks at, all in turn where there are no more: a choice among them would be noise."""
 _SMALLEST = 1e-4
 """Mean free path, over the size of a coordinate, below which single precision cannot tell two points apart."""
 _LEAST_SURVIVAL = 0.2
@@ -83,6 +85,8 @@ class Tracer:
         self.media = Media(scene, settings.kernel)
         delta = [bool(int(emitter.flags()) & int(mi.EmitterFlags.Delta)) for emitter in scene.emitters()]
         self._has_local = settings.local or self.media.shortest_mean_free_path() < 2 * _SMALLEST * _size(scene)
+        choose = settings.mirrors_apart or not self.media.rough  # else it was two thirds of the face's noise
+        self._lamps = 1 if choose else min(len(delta), MOST_LAMPS)
         self._lit = bool(delta)
         self._hittable = not all(delta)
         """Is there light that a ray can meet by chance?"""
@@ -139,7 +143,7 @@ class Tracer:
 
     def _light_pdf(self, ref: Any, ds: Any, active: Any) -> Any:
         """Density with which light sampling would have found the light that a path met."""
-        return self.scene.pdf_emitter_direction(ref, ds, active)
+        return self._lamps * self.scene.pdf_emitter_direction(ref, ds, active)
 
     def _lobes(self, path: Path, si: Any, sampler: Any, active: Any) -> tuple[list[Lobe], Any, Any]:
         """The lobes of all surfaces met, one active in a lane; throughput with their chance; radiance so far."""
@@ -228,8 +232,14 @@ class Tracer:
         for lobe in lobes:
             active |= lobe.active
             ref = dr.select(lobe.active, interaction(lobe.ref), ref)
-        ds, arriving = self.scene.sample_emitter_direction(ref, sampler.next_2d(active), False, active)
-        active &= ds.pdf > 0
+        u, light = sampler.next_2d(active), mi.Spectrum(0)
+        for lamp in range(self._lamps):
+            light += self._by_lamp(lobes, ref, mi.Point2f((u.x + lamp) / self._lamps, u.y), active)
+        return light
+
+    def _by_lamp(self, lobes: list[Lobe], ref: Any, u: Any, active: Any) -> Any:
+        ds, arriving = self.scene.sample_emitter_direction(ref, u, False, active)
+        active = active & (ds.pdf > 0)
         value, pdf, origin = mi.Spectrum(0), mi.Float(0), ref
         for lobe in lobes:
             light = lobe.light(ds)
@@ -238,7 +248,7 @@ class Tracer:
             origin = dr.select(lobe.active, interaction(light.origin), origin)
         active &= dr.max(value) > 0
         active &= ~self.scene.ray_test(origin.spawn_ray_to(ds.p), active)
-        share = dr.select(ds.delta, 1, ds.pdf / (ds.pdf + pdf))
+        share = dr.select(ds.delta, 1 / self._lamps, ds.pdf / (self._lamps * ds.pdf + pdf))
         return dr.select(active, value * arriving * share, 0)
 
     def _continued(

@@ -170,13 +170,17 @@ def test_each_half_of_a_two_tone_surface_gives_back_its_own_total(bright: float,
 # Light sampling
 
 
-def test_light_sampling_and_the_paths_own_directions_agree(monkeypatch: pytest.MonkeyPatch) -> None:
-    panel = {
-        "type": "rectangle",
-        "to_world": mi.ScalarTransform4f().look_at([30, 0, 30], [0, 0, 0], [0, 1, 0]).scale([20, 20, 1]),
-        "emitter": {"type": "area", "radiance": 1.0},
+@pytest.mark.parametrize("lamps", [1, 2, paths.MOST_LAMPS + 2])
+def test_light_sampling_and_the_paths_own_directions_agree(lamps: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    panels = {
+        f"panel{i}": {
+            "type": "rectangle",
+            "to_world": mi.ScalarTransform4f().look_at([30 * x, 30 * y, 30], [0, 0, 0], [0, 0, 1]).scale([8, 8, 1]),
+            "emitter": {"type": "area", "radiance": 1.0 + i},
+        }
+        for i, (x, y) in enumerate((math.cos(2 * i), math.sin(2 * i)) for i in range(lamps))
     }
-    scene = scene_of({"sigma_a": 0.1, "sigma_sp": 1.0, "eta": 1.3, "alpha": 0.2}, panel=panel)
+    scene = scene_of({"sigma_a": 0.1, "sigma_sp": 1.0, "eta": 1.3, "alpha": 0.2}, **panels)
     n = 1 << 16
     for term in ("single", "specular"):
         both, both_error = radiance(scene, towards_origin(n), n, kernel="dipole", terms=term)

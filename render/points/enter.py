@@ -15,7 +15,7 @@ import numpy as np
 
 from bssrdf.render.interface import refract_in
 from bssrdf.render.medium import Optics
-from bssrdf.render.paths import Tracer
+from bssrdf.render.paths import MOST_LAMPS, Tracer
 from bssrdf.render.points.record import BodySurface, Entered, Floats
 from bssrdf.render.points.sequence import uniform
 
@@ -28,8 +28,6 @@ _STANDS_OUT = 8.0
 """…by so many times the mean of the others, and of the nearest, for what neighbours share is a caustic. In a glass of
 milk one path in 10⁵, from the table by the milk's mirror to the window, else shone in the shade as a bright dot."""
 _BESIDE = 8
-_MOST_LAMPS = 6
-"""That each point looks at, all in turn where there are no more: a choice among them would be noise."""
 
 
 @dataclass(frozen=True)
@@ -128,7 +126,7 @@ def _sample(tracer: Tracer, mesh: Any, face: Any, u: list[Any], sampler: Any) ->
     row, _ = tracer.media.row(si, mi.Bool(True))
     optics, normal = tracer.media.optics(si, row, mi.Bool(True)), tracer.media.normal(si, row, mi.Bool(True))
     steady, rare = (_Point(tracer, si, optics, normal) for _ in range(2))
-    lamps = min(len(tracer.scene.emitters()), _MOST_LAMPS)
+    lamps = min(len(tracer.scene.emitters()), MOST_LAMPS)
     for lamp in range(lamps):
         steady.by_lamp(mi.Point2f((u[2] + lamp) / lamps, u[3]), lamps)
     rare.by_bounce(mi.Point2f(u[4], u[5]), lamps, sampler)
