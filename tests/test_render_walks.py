@@ -16,7 +16,7 @@ pytest.importorskip("mitsuba", reason='Mitsuba is not installed: pip install "bs
 from bssrdf.render.interface import transmittance_table
 from bssrdf.render.kernel import cosines
 from bssrdf.render.points import leap, walk
-from bssrdf.render.points.blend import mended, sparse_faces
+from bssrdf.render.points.blend import mended, sampled, sparse_faces
 from bssrdf.render.points.entry import entry_lobes
 from bssrdf.render.points.record import BodySurface, Entered
 from bssrdf.render.points.walk import Inside, walked
@@ -183,7 +183,8 @@ def test_an_evenly_lit_white_ball_is_mended_to_its_light_from_any_error() -> Non
     white = Inside(np.full(3, 1e-9), np.array([1.0, 1.2, 1.5]), 1.3)
     even = np.ones((len(surface.vertices), 3))
     dark = 0.8 * even * (1 + 0.1 * surface.normals[:, :1])
-    light = mended(surface, evenly(surface, white.eta, even), white, dark, None, diffuse, walks=32)
+    walks = sampled(surface, evenly(surface, white.eta, even), white, None, diffuse, walks=32)
+    light = mended(surface, walks, dark)
     np.testing.assert_allclose(light, 1, rtol=0.05)
     assert np.std(light) < 0.015
     assert np.average(light, axis=0, weights=surface.areas()) == pytest.approx([1, 1, 1], rel=3e-3)
@@ -200,7 +201,8 @@ def test_a_ball_lit_from_one_side_grows_redder_into_the_dark_without_coloured_pa
     height = surface.normals[:, 2]
     true = np.exp(np.stack([np.interp(height, (np.arange(6) - 2.5) / 3, line) for line in known.T], axis=1))
     points = 0.8 * true * (1 + 0.03 * height[:, None] * [1, 0, -1])
-    found = [mended(surface, entered, inside, points, None, diffuse, walks=64, seed=seed) for seed in (1, 2)]
+    walks = [sampled(surface, entered, inside, None, diffuse, walks=64, seed=seed) for seed in (1, 2)]
+    found = [mended(surface, each, points) for each in walks]
     first, second = (np.log((light / light[:, 1:2])[height < 0][:, ::2]) for light in found)
     expected = np.log((true / true[:, 1:2])[height < 0][:, ::2])
     assert np.all((first - second).std(axis=0) < 0.1)
@@ -212,7 +214,8 @@ def test_what_points_find_on_a_flat_thick_body_stays() -> None:
     surface = cube(40.0, 40)
     inside = Inside(np.full(3, 0.5), np.full(3, 1.0), 1.3)
     light = 1 + 0.3 * np.cos(surface.vertices[:, :1] * [0.1, 0.2, 0.3])
-    found = mended(surface, evenly(surface, 1.3, light), inside, 0.2 * light, None, diffuse, walks=4)
+    walks = sampled(surface, evenly(surface, 1.3, light), inside, None, diffuse, walks=4)
+    found = mended(surface, walks, 0.2 * light)
     deep = np.sort(np.abs(surface.vertices), axis=1)[:, 1] < 20
     np.testing.assert_array_equal(found[deep], 0.2 * light[deep])
     assert np.mean(found[~deep] != 0.2 * light[~deep]) > 0.3

@@ -9,6 +9,7 @@ channels part in hundreds of scatterings, so that each has noise of its own, whi
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.sparse import csr_array
@@ -51,41 +52,69 @@ Leaving = Callable[[Floats], Floats]
 """π times the radiance over the exitance at cosines (k,) to the normal, (k, channels)."""
 
 
-def mended(
+@dataclass(frozen=True)
+class Sampled:
+    """What walks find at some places of a body, and where its form asks for them."""
+
+    corners: Integers
+    """Vertices of the triangle that each place is the middle of, (p, 3)."""
+    places: Floats
+    normals: Floats
+    """(p, 3)."""
+    bent: Floats
+    """How far walks count there, from 0 where the body is flat and thick to 1, (p,)."""
+    found: Walked | None
+    """Where they count; None on a body that is flat and thick all over."""
+    spacing: float
+    """Between places."""
+
+
+def sampled(
     surface: BodySurface,
     entered: Entered,
     inside: Inside,
-    exitance: Floats,
     viewer: Viewer | None,
     leaving: Leaving,
     *,
     walks: int,
     seed: int = 0,
-) -> Floats:
-    """Radiant exitance of each vertex of a closed body, (n, channels), from that of points.
+) -> Sampled:
+    """Walks from places of a closed body.
 
-    Args: walks: per channel, from each of the places. Where the viewer sees the body it is the exitance of which
-    `leaving` makes the radiance towards them. Where a body is flat and thick the light of points stays as it is.
+    Args: walks: per channel, from each of the places. Where the viewer sees the body they find the exitance of which
+    `leaving` makes the radiance towards them.
     """
     spacing = place_spacing(surface, inside)
-    chosen = sparse_faces(surface, spacing, seed)
-    corners = surface.faces[chosen]
+    corners = surface.faces[sparse_faces(surface, spacing, seed)]
     places, normals = surface.vertices[corners].mean(axis=1), surface.normals[corners].mean(axis=1)
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
     bent = np.minimum(_Near(places, normals, places, normals, _NEIGHBOURS).bend() / _BENT, 1)
     rows = np.flatnonzero(bent > 0)
-    if len(rows) == 0:
+    found = None
+    if len(rows):
+        walks = round(walks * min(max(PLACES / len(rows), 1), _MORE))
+        found = _found(surface, entered, inside, places[rows], normals[rows], viewer, leaving, walks, seed)
+    return Sampled(corners, places, normals, bent, found, spacing)
+
+
+def mended(surface: BodySurface, known: Sampled, exitance: Floats) -> Floats:
+    """Radiant exitance of each vertex of a closed body, (n, channels), from that of points and what walks found.
+
+    Where a body is flat and thick the light of points stays as it is.
+    """
+    found, places, normals, spacing = known.found, known.places, known.normals, known.spacing
+    if found is None:
         return exitance
-    walks = round(walks * min(max(PLACES / len(rows), 1), _MORE))
-    found = _found(surface, entered, inside, places[rows], normals[rows], viewer, leaving, walks, seed)
+    rows = np.flatnonzero(known.bent > 0)
+    bent = known.bent[rows, None]
     around = _Near(places[rows], normals[rows], places[rows], normals[rows], _NEIGHBOURS)
     missing = np.zeros((len(places), exitance.shape[1]))
-    flat = exitance[corners[rows]].mean(axis=1)
+    flat = exitance[known.corners[rows]].mean(axis=1)
     light = _tinted(around, found, flat, flat + _quiet(around, found, flat, spacing), spacing)
-    missing[rows] = bent[rows, None] * (light - flat)
+    missing[rows] = bent * (light - flat)
     between = _Near(places, normals, surface.vertices, surface.normals, _BETWEEN)
     change, areas = between.mean(missing, spacing / 2), surface.areas()
-    asked = between.nearest_sum(areas)[rows] * bent[rows] @ (found.mean - flat)
+    asked = (between.nearest_sum(areas)[rows, None] * bent * (found.mean - flat)).sum(axis=0)
     return np.maximum(exitance + change * _kept(asked, areas @ change), 0)
 
 

@@ -78,7 +78,7 @@ def _between(nodes: Floats, values: Floats) -> tuple[NDArray[np.int32], Singles]
     return row.astype(np.int32), np.where(above > row, np.clip(share, 0, 1), 0).astype(np.float32)
 
 
-@numba.njit(parallel=True, fastmath=True, cache=True, error_model="numpy")
+@numba.njit(parallel=True, nogil=True, fastmath=True, cache=True, error_model="numpy")
 def _sum(
     tree: LightTree,
     corners: Singles,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -15,7 +16,7 @@ import numpy as np
 from bssrdf.render.medium import Media
 from bssrdf.render.mesh_file import mitsuba_mesh
 from bssrdf.render.paths import EXITANCE, Settings, Tracer
-from bssrdf.render.points.blend import Viewer, mended
+from bssrdf.render.points.blend import Sampled, Viewer, mended, sampled
 from bssrdf.render.points.enter import Arrived, arrive
 from bssrdf.render.points.exchange import drawn_in, exchanges, settle
 from bssrdf.render.points.fineness import spots_on, target_edge, viewer_of
@@ -150,9 +151,12 @@ def _leave(media: Media, body: _LitBody, bodies: list[_LitBody], viewer: Viewer 
     """Sum the light of all shapes that are one body with it, and put what leaves on its vertices."""
     same = _of_one_body(body, bodies)
     optics = _optics(media, body.mesh, body.surface)
-    exitance = _by_points(media, body, same, optics, plan)
-    if plan.method == "walks":
-        exitance = _by_walks(media, body, optics, exitance, viewer, plan)
+    with ThreadPoolExecutor(1) as beside:  # of either, what runs on one core leaves the other to the other
+        points = beside.submit(_by_points, media, body, same, optics, plan)
+        walks = _by_walks(media, body, optics, viewer, plan) if plan.method == "walks" else None
+        exitance = points.result()
+    if walks is not None:
+        exitance = mended(body.surface, walks, exitance)
     over = _between_vertices(body.surface, exitance / np.maximum(optics.total, 1e-30)).astype(np.float32)
     if body.mesh.has_attribute(EXITANCE):
         body.mesh.remove_attribute(EXITANCE)
@@ -207,27 +211,21 @@ def _row(media: Media, body: _LitBody) -> int:
 
 
 def _by_walks(
-    media: Media,
-    body: _LitBody,
-    optics: _Coefficients,
-    exitance: Floats,
-    viewer: Viewer | None,
-    plan: LightPlan,
-) -> Floats:
-    """What points find, mended; where a body is open or its coefficients vary, it is left as it is."""
+    media: Media, body: _LitBody, optics: _Coefficients, viewer: Viewer | None, plan: LightPlan
+) -> Sampled | None:
+    """What mends the light of points; None where a body is open or its coefficients vary, and it stays as it is."""
     surface = media.surfaces[_row(media, body)]
     if surface.textured or not is_closed(body.surface):
         what = "varies over its surface" if surface.textured else "is open"
         warnings.warn(f'shape "{body.name}" {what}: its light is that of points on a half space', stacklevel=2)
-        return exitance
+        return None
     sigma_tp = optics.sigma_tp[0]
     sigma_sp = optics.albedo[0] * sigma_tp
     inside = Inside(sigma_tp - sigma_sp, sigma_sp, surface.eta, surface.g, surface.alpha)
-    return mended(
+    return sampled(
         body.surface,
         body.arrived.at_vertices(body.surface),
         inside,
-        exitance,
         viewer,
         media.leaving_of(_row(media, body)),
         walks=plan.walks,

@@ -115,7 +115,7 @@ def _halved(points: Floats, levels: int) -> tuple[Integers, Integers]:
     return ordered, starts
 
 
-@numba.njit(cache=True, parallel=True)
+@numba.njit(cache=True, parallel=True, nogil=True)
 def _part_halves(points: Floats, order: Integers, starts: Integers, middles: Integers) -> None:
     for part in numba.prange(len(middles)):
         if starts[part + 1] - starts[part] > 1:
