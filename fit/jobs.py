@@ -11,7 +11,7 @@ import numpy as np
 
 from bssrdf.errors import InputError
 from bssrdf.fit.compiled import FROM
-from bssrdf.fit.layout import Curves, camera_factor, curves_of, nodes_of, points_of, sight_of, total_of
+from bssrdf.fit.layout import Curves, curves_of, factor_of, nodes_of, points_of, sight_of, total_of
 from bssrdf.fit.models import ModelName
 from bssrdf.fit.problem import (
     OF_MEDIUM,
@@ -237,7 +237,7 @@ def _factor_slopes(piece: Slice) -> tuple[float, float]:
     by_view = 0.0
     if piece.exit == "fresnel":
         lo, hi = max(piece.view_angle_deg - angle, 0.0), min(piece.view_angle_deg + angle, 89.9)
-        ends = [math.log(camera_factor(piece, view_deg=each)) for each in (lo, hi)]
+        ends = [math.log(factor_of(piece, view_angle_deg=each)) for each in (lo, hi)]
         by_view = (ends[1] - ends[0]) / math.radians(hi - lo)
-    by_eta = [math.log(camera_factor(piece, eta=piece.eta + each)) for each in (-eta, eta)]
+    by_eta = [math.log(factor_of(piece, eta=piece.eta + each)) for each in (-eta, eta)]
     return by_view, (by_eta[1] - by_eta[0]) / (2 * eta)

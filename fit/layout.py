@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from bssrdf.holding import held
 from bssrdf.session.records import ChannelSlice, Slice
-from bssrdf.transport.light import exit_norm, transmittance
+from bssrdf.transport import camera_factor
 from bssrdf.transport.observed import Sight
 
 Floats = NDArray[np.float64]
@@ -79,16 +79,10 @@ class Total(NamedTuple):
     sd: Any
 
 
-def camera_factor(piece: Slice, *, eta: float | None = None, view_deg: float | None = None) -> float:
-    """R_d as the slice has it over the models', per entering flux over the hemisphere: see `transport.convention`."""
-    eta = piece.eta if eta is None else eta
-    view = math.cos(math.radians(piece.view_angle_deg if view_deg is None else view_deg))
-    factor = 1.0
-    if piece.flux == "incident":
-        factor *= float(transmittance(np, eta, math.cos(math.radians(piece.incidence_deg))))
-    if piece.exit == "fresnel":
-        factor *= float(transmittance(np, eta, view)) / exit_norm(eta)
-    return factor
+def factor_of(piece: Slice, **changed: float) -> float:
+    """R_d as the slice has it over the models', per entering flux over the hemisphere; with some keys `changed`."""
+    keys = ("eta", "flux", "exit", "view_angle_deg", "incidence_deg")
+    return camera_factor(**{key: getattr(piece, key) for key in keys} | changed)
 
 
 def curves_of(pieces: Sequence[Slice], names: Sequence[str], window_mm: tuple[float, float] | None) -> Curves:
@@ -103,7 +97,7 @@ def curves_of(pieces: Sequence[Slice], names: Sequence[str], window_mm: tuple[fl
         out[there] = np.concatenate(arrays)
         return out
 
-    factor = camera_factor(pieces[0])
+    factor = factor_of(pieces[0])
     r = r_lo = r_hi = padded([channel.r_mm for channel in channels])
     if any(channel.r_lo_mm is not None for channel in channels):
         r_lo, r_hi = (padded(list(each)) for each in zip(*(edges(channel) for channel in channels), strict=True))
@@ -128,7 +122,7 @@ def curves_of(pieces: Sequence[Slice], names: Sequence[str], window_mm: tuple[fl
 
 def total_of(pieces: Sequence[Slice], names: Sequence[str]) -> Total:
     """R of the named channel of each slice, in the models' convention; NaN where it is not known."""
-    factor = camera_factor(pieces[0])
+    factor = factor_of(pieces[0])
     return Total(
         *(
             np.array([[getattr(p, key).get(name, math.nan)] for p, name in zip(pieces, names, strict=True)]) / factor

@@ -110,7 +110,7 @@ class Laid(NamedTuple):
     total_responses: tuple[Any, ...]
     """By total, (b, K): of ln R."""
     samples: tuple[Any, ...]
-    """By slice a `Sampled`, empty for a half space."""
+    """By slice a `SampleRatio`, empty for a half space."""
 
 
 class Looked(NamedTuple):

@@ -14,7 +14,7 @@ from bssrdf.fit.problem import held_any
 from bssrdf.holding import Held, assumed, held
 from bssrdf.session.flags import Flag
 from bssrdf.session.records import Slice
-from bssrdf.transport.sample_light import Sampled
+from bssrdf.transport.sample_light import SampleRatio
 
 NAN = float("nan")
 Bools = NDArray[np.bool_]
@@ -110,7 +110,7 @@ def _thin(one: Held, sigma_tp: float, bright: bool, least: float, on_black: floa
     return one.thickness * sigma_tp < (on_black if bright and one.on_black else least)
 
 
-def _effect(laid: Sampled, used: Bools, row: int) -> tuple[float, float]:
+def _effect(laid: SampleRatio, used: Bools, row: int) -> tuple[float, float]:
     """ln of R over a half space's, and the curve's smallest ratio to that at the radii used."""
     least = float(np.exp(laid.log_ratio[row][used[row]].min())) if used[row].any() else NAN
     return float(laid.log_total[row, 0]), least

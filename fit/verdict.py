@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from bssrdf.fit.batch import Fitted
 from bssrdf.fit.intervals import Profile
 from bssrdf.fit.jobs import Job
-from bssrdf.fit.layout import camera_factor
+from bssrdf.fit.layout import factor_of
 from bssrdf.fit.models import OBLIQUE_DEG, is_clamped
 from bssrdf.fit.neighbours import Bias, TableSays, to_log
 from bssrdf.fit.outliers import has_outliers
@@ -282,7 +282,7 @@ def _held(fitted: Fitted, extra: Extra, stated: _Stated) -> dict[str, Bools]:
     jobs, plan, judged, first = fitted.jobs, fitted.plan, fitted.judged, fitted.jobs[0].pieces
     biased, known = fitted.model.biased, judged.errors_known
     q, sigma_tp = fitted.found.point.q[:, 0], np.exp(fitted.found.point.log_sigma[:, 0])
-    factors = [camera_factor(piece) for piece in first]
+    factors = [factor_of(piece) for piece in first]
     totals = np.array(
         [[p.total_r.get(job.channel, NAN) / f for p, f in zip(job.pieces, factors, strict=True)] for job in jobs]
     )

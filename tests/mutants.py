@@ -76,11 +76,11 @@ PHYSICS = (
         ("brdf::bssrdf_returns_the_exitant_light",),
     ),
     Mutant(
-        "a camera's factor without 1/C in the fit",
-        "fit/layout.py",
-        "factor *= float(transmittance(np, eta, view)) / exit_norm(eta)",
-        "factor *= float(transmittance(np, eta, view))",
-        ("fit::camera_values_and_entering_values",),
+        "a camera's factor without 1/C",
+        "transport/convention.py",
+        "factor *= _transmittance(eta, view_angle_deg) / exit_norm(eta)",
+        "factor *= _transmittance(eta, view_angle_deg)",
+        ("convention::the_fresnel_exit_has_its_known_values",),
     ),
     Mutant(
         "dipole: virtual source at 2AD instead of 4AD",

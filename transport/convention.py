@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from bssrdf.errors import InputError
-from bssrdf.transport.fresnel import exit_norm, fresnel_t
-from bssrdf.transport.precision import scoped_x64
+from bssrdf.transport.light import exit_norm, transmittance
 
 FLUXES = ("incident", "entering")
 EXITS = ("hemisphere", "lambertian", "fresnel")
 
 
-@scoped_x64
 def camera_factor(
     eta: float,
     *,
@@ -36,12 +36,12 @@ def camera_factor(
     if flux == "incident":
         factor *= _transmittance(eta, incidence_deg)
     if exit == "fresnel":
-        factor *= _transmittance(eta, view_angle_deg) / float(exit_norm(eta))
+        factor *= _transmittance(eta, view_angle_deg) / exit_norm(eta)
     return factor
 
 
 def _transmittance(eta: float, angle_deg: float) -> float:
-    return float(fresnel_t(eta, math.cos(math.radians(angle_deg))))
+    return float(transmittance(np, eta, math.cos(math.radians(angle_deg))))
 
 
 def _require(holds: bool, value: str, remedy: str) -> None:

@@ -40,7 +40,7 @@ SMALLEST_TOTAL_Q = 1e-5
 """In place of 0, where R has no slope in q."""
 
 
-class Sampled(NamedTuple):
+class SampleRatio(NamedTuple):
     """ln of the ratio to a half space near where it was worked out, and what that answers to one sd of each error."""
 
     log_ratio: Any
@@ -60,12 +60,12 @@ class Sampled(NamedTuple):
     """(b, 1): of a dish's wall, (WALL_MFP/distance)²; 0 for a slab."""
 
 
-def curve_off(laid: Sampled) -> Any:
+def curve_off(laid: SampleRatio) -> Any:
     """What the curve's ratio may be off by, relative."""
     return CURVE_OFF * laid.log_ratio * laid.log_ratio + WALL_OFF * laid.nearness * abs(laid.log_ratio)
 
 
-def total_off(laid: Sampled) -> Any:
+def total_off(laid: SampleRatio) -> Any:
     """What the total's may be off by, relative, (b, 1)."""
     return TOTAL_OFF * (1 + laid.nearness) * abs(laid.log_total)
 
@@ -82,7 +82,7 @@ def sampled(
     thickness_rel_sd: Any,
     back_sd: Any,
     plain: bool,
-) -> Sampled:
+) -> SampleRatio:
     """At a point, at radii r (b, u), with the answers to these errors (b, 1); `plain` leaves those out."""
     xp = e.xp
     top = top_of(model)
@@ -95,7 +95,7 @@ def sampled(
     aq = xp.maximum(xp.abs(q), SMALLEST_Q)
     zero = xp.zeros_like(here[0])
     near = xp.square(WALL_MFP / (xp.exp(log_sigma) * sample.radius_mm)) if dish else 0 * q
-    laid = Sampled(
+    laid = SampleRatio(
         *here[:2], here[2] * xp.sign(q) / (2 * aq), log_sigma, q * q,
         zero, zero, zero, log_total(sample), 0 * q, 0 * q, near,
     )  # fmt: skip
@@ -138,7 +138,7 @@ def _aside(e: Engine, dish: bool, sample: Sample, step: Any, back_sd: Any) -> tu
     )
 
 
-def further(e: Engine, laid: Sampled, log_sigma: Any, q: Any) -> Look:
+def further(e: Engine, laid: SampleRatio, log_sigma: Any, q: Any) -> Look:
     """ln of the ratio at a point near by, and its slopes."""
     xp = e.xp
     move = laid.by_log_sigma * (log_sigma - laid.log_sigma) + laid.by_q2 * (q * q - laid.q2)
