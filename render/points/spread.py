@@ -177,21 +177,24 @@ _TEMPLATES = {"Sphere": _sphere, "Rectangle": _rectangle, "Disk": _disk, "Cylind
 
 def refine(surface: BodySurface, target: Target, most: int, name: str) -> BodySurface:
     """Edges halved until none is longer than `target` allows, or, as a warning says, there is room for no more."""
-    while True:
-        pairs, of_edge = _edges(surface.faces, len(surface.vertices))
+    done, rest = np.empty((0, 3), np.int64), surface.faces
+    while len(rest):
+        pairs, of_edge = _edges(rest, len(surface.vertices))
         split = _too_long(surface, pairs, target)
-        if not split.any():
-            return surface
-        if len(surface.faces) + 2 * np.count_nonzero(split) > most:
-            warnings.warn(_too_coarse(surface, pairs, target, name), stacklevel=2)
-            return surface
-        surface = _split(surface, pairs[split], _numbered(split, len(surface.vertices))[of_edge])
+        if split.any() and (faces := len(done) + len(rest)) + 2 * np.count_nonzero(split) > most:
+            warnings.warn(_too_coarse(surface, faces, pairs, target, name), stacklevel=2)
+            break
+        middle = _numbered(split, len(surface.vertices))[of_edge]
+        whole = (middle < 0).all(axis=1)  # what touches no long edge now never will
+        surface = _with_middles(surface, pairs[split])
+        done, rest = np.concatenate([done, rest[whole]]), _cut(rest[~whole], middle[~whole])
+    return replace(surface, faces=np.concatenate([done, rest]))
 
 
-def _too_coarse(surface: BodySurface, pairs: Integers, target: Target, name: str) -> str:
+def _too_coarse(surface: BodySurface, faces: int, pairs: Integers, target: Target, name: str) -> str:
     longer = float((_lengths(surface, pairs) / target(*_middles(surface, pairs))).max())
     return (
-        f"{name}: {len(surface.faces):,} triangles are all there is room for; edges are up to {longer:.2g} times as "
+        f"{name}: {faces:,} triangles are all there is room for; edges are up to {longer:.2g} times as "
         "long as pixels and medium ask for, and finer detail is lost; give fewer pixels, or a smaller mesh"
     )
 
@@ -230,11 +233,12 @@ def _numbered(split: np.ndarray, first: int) -> Integers:
     return np.where(split, first + np.cumsum(split) - 1, -1)
 
 
-def _split(surface: BodySurface, pairs: Integers, middle: Integers) -> BodySurface:
+def _with_middles(surface: BodySurface, pairs: Integers) -> BodySurface:
+    """The surface and, of no face yet, vertices halfway between pairs of it."""
     places, normals = _middles(surface, pairs)
     vertices = np.concatenate([surface.vertices, places])
     uv = np.concatenate([surface.uv, surface.uv[pairs].mean(axis=1)])
-    return BodySurface(vertices, np.concatenate([surface.normals, normals]), uv, _cut(surface.faces, middle))
+    return BodySurface(vertices, np.concatenate([surface.normals, normals]), uv, surface.faces)
 
 
 def _cut(faces: Integers, middle: Integers) -> Integers:
