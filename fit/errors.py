@@ -15,7 +15,18 @@ import numpy as np
 from bssrdf.fit.laying import look
 from bssrdf.fit.problem import Gaps, Looked, Plan, Problem
 from bssrdf.fit.solve import Solution
-from bssrdf.fit.terms import elimination, keeping, model_sd, over_data, rows_of, squares, system, totals_of, window
+from bssrdf.fit.terms import (
+    elimination,
+    keeping,
+    model_sd,
+    of_shared,
+    over_data,
+    rows_of,
+    squares,
+    system,
+    totals_of,
+    window,
+)
 from bssrdf.transport.arrays import Engine
 from bssrdf.transport.light import Light
 
@@ -74,9 +85,9 @@ def judge(
     xp = e.xp
     at, laid, by = found.point, found.laid, found.weights
     seen = look(e, plan, model, data, laid, at)
-    looks, totals = seen.curves, totals_of(e, plan, data, laid, seen)
-    rows = [rows_of(e, laid, each, k) for k, each in enumerate(looks)]
-    full = system(e, plan, data, laid, seen, totals, by)
+    looks, totals = seen.curves, totals_of(e, plan, data, laid, seen, found.shared)
+    rows = [rows_of(e, laid, each, k, found.shared) for k, each in enumerate(looks)]
+    full = system(e, plan, data, laid, seen, totals, by, found.shared)
     keeps = keeping(plan, totals)
     answer = _answer(e, plan, keeps, full.matrix)
     w2 = [squares(e, plan, model, data, laid, at, each[0], k) for k, each in enumerate(looks)]
@@ -174,7 +185,7 @@ def _by_totals(
             error = xp.where(xp.isfinite(sd), sd, 0.0)
         else:
             moved, error = xp.matmul(answer, (row / sd**2)[:, :, None])[:, :, 0], sd
-            left = gap - (row[:, 3:] * found.shared).sum(1, keepdims=True)
+            left = gap - of_shared(row, found.shared)
             leverage = (row * xp.matmul(answer, row[:, :, None])[:, :, 0]).sum(1, keepdims=True) / sd**2
             one = left / sd / xp.sqrt(xp.maximum(1 - leverage, 1e-6))
             pull = xp.where(xp.abs(one[:, 0]) > xp.abs(pull), one[:, 0], pull)

@@ -12,7 +12,18 @@ import numpy as np
 
 from bssrdf.fit.laying import answering, costly, lay, look
 from bssrdf.fit.problem import Laid, Looked, Neighbours, Plan, Point, Problem, System, Weights, held_any
-from bssrdf.fit.terms import cost_at, elimination, holding_sigma_a, keeping, meeting, solved, system, totals_of, weigh
+from bssrdf.fit.terms import (
+    cost_at,
+    elimination,
+    holding_sigma_a,
+    keeping,
+    meeting,
+    of_shared,
+    solved,
+    system,
+    totals_of,
+    weigh,
+)
 from bssrdf.transport.arrays import Engine
 from bssrdf.transport.light import Light
 
@@ -31,6 +42,9 @@ LAID = 1e-5
 QUIET, CREEPING, PATIENCE = 1e-5, 1e-3, 12
 """In standard deviations: a shorter step is rest; after so many steps a longer one is, since where the data hardly tell
 a search creeps along as its weights follow."""
+SHORTENED = 0.5
+"""Steps after as many: where data contradict the model, weights and responses that follow it throw a whole step to and
+fro about where it would rest."""
 GAINED = 1e-3
 """In χ², from one laying to the next: less is rest."""
 ROUGH = 1e-3
@@ -144,18 +158,19 @@ def optimise(
     b = begin.q.shape[0]
     zeros = xp.zeros(b)
 
-    def reduced(data: Problem, laid: Laid, seen: Looked, by: Weights, at: Point) -> Marginal:
-        gaps = totals_of(e, plan, data, laid, seen)
-        full = system(e, plan, data, laid, seen, gaps, by)
+    def reduced(data: Problem, laid: Laid, seen: Looked, by: Weights, at: Point, shared: Any) -> Marginal:
+        gaps = totals_of(e, plan, data, laid, seen, shared)
+        full = system(e, plan, data, laid, seen, gaps, by, shared)
         keeps = holding_sigma_a(e, full, at) if held_sigma_a else keeping(plan, gaps)
-        return marginal(e, full, columns, keeps)
+        return marginal(e, full, columns, keeps, shared)
 
-    def ahead(best: Point, here: Marginal, damping: Any) -> tuple[Any, Any, Point]:
+    def ahead(best: Point, here: Marginal, damping: Any, steps: Any) -> tuple[Any, Any, Point]:
         """The next move, and shared errors and point after it."""
         move = solve_damped(xp, here.curvature, here.gradient, damping)
         if columns == (0, 1):
             move = _within(xp, model, best.q, move, here, damping)
         move = move * xp.minimum(1.0, LONGEST_STEP / xp.maximum(xp.abs(move).max(1), TINY_MOVE))[:, None]
+        move = move * xp.where(steps < PATIENCE, 1.0, SHORTENED)[:, None]
         errors = here.shared - xp.matmul(here.answer, move[:, :, None])[:, :, 0]
         return move, errors, _moved(e, plan, model, best, here, move, errors, columns, held_sigma_a)
 
@@ -165,15 +180,15 @@ def optimise(
             laid = answering(e, plan, model, data, laid, s.trial, beside, seen.curves)
         if relay:
             by = weigh(e, plan, model, data, laid, s.trial, seen, s.errors)
-        there = reduced(data, laid, seen, by, s.trial)
+        there = reduced(data, laid, seen, by, s.trial, s.errors)
         near = xp.isfinite(s.here.cost) & (_distance(xp, s.trial, s.best) < NEAR)
         cost = there.cost
         if relay:
-            cost = e.needed(~near, lambda: cost_at(e, plan, data, laid, seen, s.weights), cost)
+            cost = e.needed(~near, lambda: cost_at(e, plan, data, s.laid, seen, s.weights, s.errors), cost)
         better = near | (cost <= s.here.cost + SLACK * (1 + s.here.cost))
         best, laid, here, by = e.chosen(better, (s.trial, laid, there, by), (s.best, s.laid, s.here, s.weights))
         damping = xp.where(better, s.damping * 0.1, xp.maximum(s.damping, 1e-3) * 10)
-        move, errors, trial = ahead(best, here, damping)
+        move, errors, trial = ahead(best, here, damping, s.steps)
         quiet = xp.where(s.steps < PATIENCE, QUIET, CREEPING)
         short = (_distance(xp, trial, best) < settled) | (xp.abs((move * here.gradient).sum(1)) < quiet**2)
         done = (better & short) | (damping > 1e12) | ~xp.isfinite(here.cost)
@@ -182,8 +197,8 @@ def optimise(
     shared = xp.zeros((b, laid.responses[0].shape[1])) if shared is None else shared
     seen = look(e, plan, model, data, laid, begin)
     by = weigh(e, plan, model, data, laid, begin, seen, shared) if weights is None else weights
-    here = reduced(data, laid, seen, by, begin)
-    _, errors, trial = ahead(begin, here, zeros)
+    here = reduced(data, laid, seen, by, begin, shared)
+    _, errors, trial = ahead(begin, here, zeros, zeros)
     first = _State(trial, errors, begin, laid, here, by, zeros, xp.zeros(b, dtype=xp.int32), ~xp.isfinite(here.cost))
     last = e.loop(lambda s: ~s.done & (s.steps < most), step, first, data)
     point, shared = e.chosen(last.damping < 1, (last.trial, last.errors), (last.best, last.here.shared))
@@ -192,12 +207,14 @@ def optimise(
     return Solution(point, last.laid, last.weights, shared, cost, converged, cost, zeros + 1)
 
 
-def marginal(e: Engine, full: System, columns: tuple[int, ...], keeps: tuple[Any, Any] | None) -> Marginal:
-    """The normal equations in some columns alone. What `keeps` a condition fixes q given all else: that goes first."""
+def marginal(e: Engine, full: System, columns: tuple[int, ...], keeps: tuple[Any, Any] | None, shared: Any) -> Marginal:
+    """The normal equations in some columns alone, from those at shared errors of that size. What `keeps` a condition
+    fixes q given all else: that goes first."""
     xp = e.xp
     cost, gradient, matrix = full
     if keeps is not None:
-        lift, shift = elimination(e, keeps)
+        falls, missing = keeps
+        lift, shift = elimination(e, (falls, missing - of_shared(falls, shared)))
         moved = xp.matmul(matrix, shift[:, :, None])[:, :, 0]
         cost = cost - 2 * (shift * gradient).sum(1) + (shift * moved).sum(1)
         down = xp.swapaxes(lift, 1, 2)
@@ -207,7 +224,7 @@ def marginal(e: Engine, full: System, columns: tuple[int, ...], keeps: tuple[Any
     g, h = gradient[:, free], matrix[:, free][:, :, free]
     g_rest, h_rest, cross = gradient[:, 3:], matrix[:, 3:, 3:], matrix[:, 3:][:, :, free]
     if not rest.size:
-        return Marginal(cost, g, h, g_rest, cross, keeps)
+        return Marginal(cost, g, h, shared, cross, keeps)
     both = solved(xp, h_rest, xp.concatenate([g_rest[:, :, None], cross], axis=2))
     errors, answer = both[:, :, 0], both[:, :, 1:]
     turn = xp.swapaxes(cross, 1, 2)
@@ -215,7 +232,7 @@ def marginal(e: Engine, full: System, columns: tuple[int, ...], keeps: tuple[Any
         cost=cost - (g_rest * errors).sum(1),
         gradient=g - xp.matmul(turn, errors[:, :, None])[:, :, 0],
         curvature=h - xp.matmul(turn, answer),
-        shared=errors,
+        shared=shared + errors,
         answer=answer,
         keeps=keeps,
     )

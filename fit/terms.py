@@ -26,15 +26,16 @@ FADE = 0.1
 """In ln r: over this a radius passes out of a window that hangs on the fit itself, so that no result jumps there."""
 
 
-def totals_of(e: Engine, plan: Plan, data: Problem, laid: Laid, seen: Looked) -> Gaps:
-    """R measured against that of the model."""
+def totals_of(e: Engine, plan: Plan, data: Problem, laid: Laid, seen: Looked, shared: Any) -> Gaps:
+    """R measured against that of the model, with its slopes at shared errors of that size."""
     xp = e.xp
     gaps, rows, sds = [], [], []
     for k, each, law, (value, by_s, by_q), response in zip(
         plan.totals, data.totals, laid.total_seen, seen.totals, laid.total_responses, strict=False
     ):
         gaps.append(each.r / law - value)
-        rows.append(xp.concatenate([by_s, by_q, xp.zeros_like(value), value * response], axis=1))
+        lifted = 1 + (response * shared).sum(1, keepdims=True)
+        rows.append(xp.concatenate([by_s * lifted, by_q * lifted, xp.zeros_like(value), value * response], axis=1))
         sds.append(xp.hypot(each.sd, total_off(laid.samples[k]) * each.r) if laid.samples[k] else each.sd)
     return Gaps(tuple(gaps), tuple(rows), tuple(sds))
 
@@ -145,31 +146,45 @@ def _huber(e: Engine, c: Curves, w2: Any, fitted: Any) -> Any:
     return xp.minimum(1.0, HUBER * scatter / xp.maximum(distance, 1e-12))
 
 
-def system(e: Engine, plan: Plan, data: Problem, laid: Laid, seen: Looked, totals: Gaps, by: Weights) -> System:
-    """The sum over curves, soft totals and priors."""
+def system(
+    e: Engine, plan: Plan, data: Problem, laid: Laid, seen: Looked, totals: Gaps, by: Weights, shared: Any
+) -> System:
+    """The sum over curves, soft totals and priors, at a point and at shared errors of that size."""
     xp = e.xp
-    size = 3 + len(plan.shared)
     whole: Any = 0.0
     for k, each in enumerate(seen.curves):
         root = xp.sqrt(by.mass[k])
-        rows = rows_of(e, laid, tuple(root * part for part in each), k, root * (by.mean[k] - each[0]))
+        rows = rows_of(e, laid, tuple(root * part for part in each), k, shared, root * by.mean[k])
         whole = whole + xp.matmul(rows, xp.swapaxes(rows, 1, 2))
     for gap, row, sd in list(zip(*totals, strict=True))[: plan.weighed]:
-        one = xp.concatenate([row, gap], axis=1) / sd
+        one = xp.concatenate([row, gap - of_shared(row, shared)], axis=1) / sd
         whole = whole + one[:, :, None] * one[:, None, :]
-    return System(whole[:, size, size], whole[:, :size, size], whole[:, :size, :size] + prior(e, plan))
+    size = 3 + len(plan.shared)
+    pulled = xp.concatenate([xp.zeros((shared.shape[0], 3)), shared], axis=1)
+    return System(
+        whole[:, size, size] + xp.square(shared).sum(1),
+        whole[:, :size, size] - pulled,
+        whole[:, :size, :size] + prior(e, plan),
+    )
 
 
-def cost_at(e: Engine, plan: Plan, data: Problem, laid: Laid, seen: Looked, by: Weights) -> Any:
-    """The objective (b,) with shared errors at their best; where R is exact, at the q near by that meets it."""
+def of_shared(row: Any, shared: Any) -> Any:
+    """What shared errors of this size add where the slopes are `row` (b, P), (b, 1)."""
+    return (row[:, 3:] * shared).sum(1, keepdims=True)
+
+
+def cost_at(e: Engine, plan: Plan, data: Problem, laid: Laid, seen: Looked, by: Weights, shared: Any) -> Any:
+    """The objective (b,) with shared errors at their best, near those given; where R is exact, at the q near by that
+    meets it."""
     xp = e.xp
-    gaps, rows, sds = totals = totals_of(e, plan, data, laid, seen)
+    gaps, rows, sds = totals = totals_of(e, plan, data, laid, seen, shared)
     keeps = keeping(plan, totals)
     whole: Any = 0.0
     for k, (value, _, by_q) in enumerate(seen.curves):
         parts = [*(value * each for each in _by_error(laid.responses[k])), by.mean[k] - value]
         if keeps is not None:
             away = xp.concatenate([keeps[0][:, 3:], keeps[1]], axis=1)
+            by_q = by_q * (1 + answer_of(e, laid.responses[k], shared))
             parts = [part - by_q * away[:, j : j + 1] for j, part in enumerate(parts)]
         stacked = xp.stack(parts, axis=1) * xp.sqrt(by.mass[k])[:, None, :]
         whole = whole + xp.matmul(stacked, xp.swapaxes(stacked, 1, 2))
@@ -190,11 +205,13 @@ def solved(xp: Any, matrix: Any, right: Any) -> Any:
     return xp.linalg.solve(matrix + hair, right)
 
 
-def rows_of(e: Engine, laid: Laid, seen: tuple[Any, Any, Any], k: int, miss: Any = None) -> Any:
-    """(b, P, u): slopes of slice k by every parameter, as large as what is `seen`; and `miss` as a last row."""
+def rows_of(e: Engine, laid: Laid, seen: tuple[Any, Any, Any], k: int, shared: Any, data: Any = None) -> Any:
+    """(b, P, u): slopes of slice k by every parameter at shared errors of that size, as large as what is `seen`; and
+    what the `data` lie above it as a last row."""
     value, by_s, by_q = seen
-    rows = [by_s, by_q, value, *(value * each for each in _by_error(laid.responses[k]))]
-    return e.xp.stack(rows if miss is None else [*rows, miss], axis=1)
+    lifted = 1 + answer_of(e, laid.responses[k], shared)
+    rows = [by_s * lifted, by_q * lifted, value * lifted, *(value * each for each in _by_error(laid.responses[k]))]
+    return e.xp.stack(rows if data is None else [*rows, data - rows[2]], axis=1)
 
 
 def _by_error(responses: Any) -> list[Any]:

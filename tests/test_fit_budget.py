@@ -165,8 +165,9 @@ def least_cost(one: Fitted, sigma_a: float) -> float:
         q = np.sqrt(3 * sigma_a / np.exp(log_sigma))
         at = Point(*(np.array([[each]]) for each in (log_sigma, q, 0.0)))
         seen = look(NUMPY, one.plan, one.model, one.data, one.found.laid, at)
-        gaps = totals_of(NUMPY, one.plan, one.data, one.found.laid, seen)
-        whole, gradient, matrix = system(NUMPY, one.plan, one.data, one.found.laid, seen, gaps, one.found.weights)
+        of, shared = (one.plan, one.data, one.found.laid, seen), one.found.shared
+        gaps = totals_of(NUMPY, *of, shared)
+        whole, gradient, matrix = system(NUMPY, *of, gaps, one.found.weights, shared)
         return float(whole[0] - gradient[0, 3:] @ np.linalg.solve(matrix[0, 3:, 3:], gradient[0, 3:]))
 
     middle = float(one.found.point.log_sigma[0, 0])

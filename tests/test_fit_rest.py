@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import warnings
 from collections.abc import Sequence
 from typing import Literal
@@ -10,18 +11,20 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from builders import model_slice, seen_slice, slice_of
+from builders import changed, model_slice, seen_slice, slice_of
 
 from bssrdf.bench.trial_light import shipped
 from bssrdf.bench.trials import Drawn, slices_of
 from bssrdf.fit.batch import Fitted, fit_group
 from bssrdf.fit.compiled import settled
 from bssrdf.fit.jobs import FitOptions, Job
+from bssrdf.fit.laying import look
 from bssrdf.fit.models import named
 from bssrdf.fit.neighbours import refitted, table_error
 from bssrdf.fit.problem import Point, Weights
 from bssrdf.fit.run import fit_slices
-from bssrdf.fit.solve import settle
+from bssrdf.fit.solve import marginal, settle
+from bssrdf.fit.terms import cost_at, system, totals_of
 from bssrdf.session.records import Slice
 from bssrdf.transport import Making
 from bssrdf.transport.arrays import NUMPY, picked
@@ -98,6 +101,43 @@ def test_jaxopt_finds_the_same_optimum_of_the_same_objective(x64: None) -> None:
     sigma_a, sigma_sp = (float(each[0, 0]) for each in coefficients(one.found.point.log_sigma, one.found.point.q))
     theirs = coefficients(np.asarray(found[0]), np.asarray(found[1]))
     assert theirs == pytest.approx((sigma_a, sigma_sp), rel=1e-6)
+
+
+def test_slopes_are_those_of_the_whole_objective_where_data_contradict_each_other() -> None:
+    """By finite differences, shared errors at their best."""
+    one = fitted([changed(trial(), rd=1.5)])
+    plan, data, laid, by = one.plan, one.data, one.found.laid, one.found.weights
+    begin, shared = one.found.point, one.found.shared
+    at = begin._replace(log_sigma=begin.log_sigma + 0.02, q=0.97 * begin.q)
+    seen = look(NUMPY, plan, one.model, data, laid, at)
+    for _ in range(8):
+        gaps = totals_of(NUMPY, plan, data, laid, seen, shared)
+        here = marginal(NUMPY, system(NUMPY, plan, data, laid, seen, gaps, by, shared), plan.free, None, shared)
+        shared = here.shared
+    assert np.abs(shared).max() > 10
+
+    def cost(point: Point) -> float:
+        beside = look(NUMPY, plan, one.model, data, laid, point)
+        return float(cost_at(NUMPY, plan, data, laid, beside, by, shared)[0])
+
+    for k, name in enumerate(("log_sigma", "q")):
+        ends = [cost(at._replace(**{name: getattr(at, name) + step})) for step in (1e-5, -1e-5)]
+        assert -2 * here.gradient[0, k] == pytest.approx((ends[0] - ends[1]) / 2e-5, rel=1e-5)
+
+
+def test_no_search_fails_on_curves_that_the_model_cannot_make() -> None:
+    """A dipole's, which near the beam and in dark media are far from the table's."""
+    rng = np.random.default_rng(5)
+    pieces = []
+    for near, far, sigma_a in itertools.product((0.1, 0.3, 1.0), (10.0, 20.0), (0.001, 0.01, 0.1, 0.4)):
+        medium = Medium(sigma_a, 1.0, 1.3)
+        r_mm = np.geomspace(near, far, 40) / (1 + sigma_a)
+        light = np.asarray(rd(medium, r_mm)) * (1 + 0.01 * rng.standard_normal(40))
+        r_mm, light = (each[light > 1e-6 * light[0]] for each in (r_mm, light))
+        shared = {"scale_rel_sd": 0.005, "mm_rel_sd": 0.002}
+        pieces.append(slice_of(r_mm, light, total_r=float(total_r(medium)), **shared, g=0.0))
+    fits = [fit["G"] for fit in fit_slices(pieces, FitOptions(model="mc", tables="shipped"))]
+    assert not any("not_converged" in fit.flags for fit in fits)
 
 
 def test_light_beyond_the_end_of_the_table_does_not_count() -> None:
