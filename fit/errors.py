@@ -127,7 +127,7 @@ def judge(
         seen=seen,
         pull=pull / xp.sqrt(grown / found.ease),
         runs_z=runs_z,
-        drift=_drift(e, laid, looks, by, found.shared, grown / found.ease, significant),
+        drift=_drift(e, laid, looks, by, found.shared, 1 / found.ease, significant),
         answer=tuple(
             xp.matmul(answer[:, :2], x) * (mass * each[0])[:, None, :]
             for x, mass, each in zip(rows, by.mass, looks, strict=True)
@@ -246,9 +246,9 @@ def _runs(e: Engine, data: Problem, laid: Any, looks: Any, w2: Any, shared: Any)
     return worst
 
 
-def _drift(e: Engine, laid: Any, looks: Any, by: Any, shared: Any, grown: Any, significant: float) -> Any:
-    """The mean over a fifth of the radii that is largest against the curve, of those beyond `significant` of their sd,
-    enlarged by the misfit where the weights are not."""
+def _drift(e: Engine, laid: Any, looks: Any, by: Any, shared: Any, least: Any, significant: float) -> Any:
+    """The mean over a fifth of the radii that is largest against the curve, of those beyond `significant` of their sd.
+    Variances in force are enlarged by what radii scatter against the next, which no shape makes, `least` by so much."""
     xp = e.xp
     largest = xp.zeros(looks[0][0].shape[0])
     for k, each in enumerate(looks):
@@ -261,6 +261,10 @@ def _drift(e: Engine, laid: Any, looks: Any, by: Any, shared: Any, grown: Any, s
             weight = xp.take_along_axis(xp.where(counts, weight, 0.0), first, axis=1)
             relative = xp.take_along_axis(relative, first, axis=1)
         moment = weight * relative
+        apart = (relative * xp.sqrt(weight))[:, 1:] - (relative * xp.sqrt(weight))[:, :-1]
+        pairs = np.arange(1, weight.shape[1]) < counts.sum(1, keepdims=True)
+        scatter = xp.where(pairs, apart * apart, 0.0).sum(1) / 2 / xp.maximum(pairs.sum(1), 1)
+        grown = xp.maximum(least, scatter)[:, None]
         ended = xp.zeros_like(weight[:, :1])  # summed inwards: light far out would be lost in sums from the beam
         beyond = [
             xp.concatenate([xp.cumsum(each[:, ::-1], axis=1)[:, ::-1], ended], axis=1) for each in (weight, moment)
@@ -270,5 +274,5 @@ def _drift(e: Engine, laid: Any, looks: Any, by: Any, shared: Any, grown: Any, s
         mass, sums = (xp.take_along_axis(s, ends[0], axis=1) - xp.take_along_axis(s, ends[1], axis=1) for s in beyond)
         mass = xp.maximum(mass, 1e-300)
         mean = xp.abs(sums) / mass
-        largest = xp.maximum(largest, xp.where(mean * xp.sqrt(mass / grown[:, None]) > significant, mean, 0.0).max(1))
+        largest = xp.maximum(largest, xp.where(mean * xp.sqrt(mass / grown) > significant, mean, 0.0).max(1))
     return largest

@@ -28,10 +28,10 @@ def honest(name: str, seed: int = 2) -> Slice:
     return slices_of(shipped()[name], 1, 0.01, seed, Drawn(scale=0.005, length=0.002))[0]
 
 
-def with_floor(piece: Slice) -> Slice:
-    """Glare of a hundredth of the brightest radius over the frame."""
+def with_floor(piece: Slice, share: float = 1e-2) -> Slice:
+    """Glare of that share of the brightest radius over the frame."""
     rd = piece.channels["G"].rd_per_mm2
-    return with_rd(piece, rd + 1e-2 * rd.max())
+    return with_rd(piece, rd + share * rd.max())
 
 
 SABOTAGE: dict[str, Callable[[Slice], Slice]] = {
@@ -113,6 +113,14 @@ def test_a_spot_that_is_not_stated_is_suspected_and_one_that_is_stated_is_not(mo
     stated = fit(replace(spotted, spot_radius_mm=radius))
     assert stated.status == "converged"
     assert stated.sigma_sp_per_mm == pytest.approx(medium.sigma_sp, rel=0.01)
+
+
+def test_a_smooth_misfit_does_not_pass_for_scatter(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A trace of glare, χ² 2,000: errors that grew by it would cover any shape, but neighbours say how they scatter."""
+    monkeypatch.setattr(sabotaged_slices, "STEPS", 1e7)
+    found = fit(with_floor(sabotaged_slices.case_of(sabotaged_slices.MEDIA["skin"], 1).honest, 1e-4))
+    assert found.status == "rejected"
+    assert "shape_misfit" in found.flags
 
 
 def test_what_is_refused_prints_no_number() -> None:
