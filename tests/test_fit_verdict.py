@@ -149,10 +149,10 @@ def test_light_that_falls_by_many_decades_is_not_rejected_for_its_rounding() -> 
     q = np.array([[np.sqrt(3 * 0.97 / (0.97 + 0.07))]])
     rd = np.asarray(table.look(NUMPY, q, 1.04 * r_mm[None])[0])[0] * 1.04**2
     sd = np.hypot(0.01 * rd, 1e-7)
-    noises = np.random.default_rng(5).normal(size=(20, r_mm.size))
-    pieces = [slice_of(r_mm, rd + sd * noise, sd=sd, eta=1.3, g=0.0, scale_rel_sd=0.003) for noise in noises]
+    seen = rd + sd * np.random.default_rng(5).normal(size=(12, r_mm.size))
+    pieces = [slice_of(r_mm, one, sd=sd / np.abs(one), eta=1.3, g=0.0, scale_rel_sd=0.003) for one in seen]
     for channels in fit_slices(pieces, FitOptions(model="mc")):
-        assert "shape_misfit" not in channels["G"].flags
+        assert channels["G"].status == "converged"
 
 
 @pytest.mark.parametrize("name", ["Skin1 R", "Skin2 R", "Potato G", "Apple B"])
