@@ -142,6 +142,18 @@ def test_light_along_a_view_is_that_of_a_literal_walk(name: str) -> None:
         assert abs(area @ found.mean[:, 0] - expected) < 0.03 * expected + 3 * noise, way
 
 
+def test_a_white_ball_of_coarse_triangles_in_a_beam_sends_out_all_that_enters() -> None:
+    """Light whose direction is told at corners, between which the surface bends by 22°, is met whole."""
+    surface, white = ball(4.0, rings=8), Inside(np.array([1e-9]), np.array([1.2]), 1.5)
+    light = in_beam(surface, white.eta)
+    entered = Entered(light.table[:, :1], light.fresnel[:, :1], light.direction)
+    found = walked(surface, entered, white, *centres(surface), walks=1024)
+    share = surface.triangle_areas() / float(surface.areas() @ entered.fresnel[:, 0])
+    error = math.sqrt(float(share**2 @ found.variance[:, 0]))
+    assert error < 5e-3
+    assert share @ found.mean[:, 0] == pytest.approx(1, abs=0.015 + 2 * error)
+
+
 def in_a_beam(medium: WalkedBall) -> tuple[BodySurface, Inside, Entered]:
     surface = ball(medium.radius, rings=48)
     inside = Inside(np.array([medium.sigma_a]), np.array([medium.sigma_sp]), medium.eta, medium.g)

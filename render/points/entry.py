@@ -82,12 +82,15 @@ class EntryLight:
         """Between the corners, to be multiplied by Fresnel's transmittance."""
         return _mixed(lambda corner: self._read(self._even, corner, channel, active), corners, weights)
 
-    def beam(self, corners: list[Any], weights: tuple[Any, ...], channel: Any, sideways: Any, active: Any) -> Any:
-        """Between the corners; `sideways` is the sine of the direction in which light that is met runs."""
+    def beam(self, corners: list[Any], weights: tuple[Any, ...], channel: Any, way: Any, n: Any, active: Any) -> Any:
+        """Between the corners, where a walk meets the surface of normal `n` along a way, against the light.
+
+        The discs of the corners are laid on the surface there: on one that is bent they would hold less of the light.
+        """
 
         def of(corner: Any) -> Any:
-            off = sideways - as_vector(self._sideways, corner, active)
-            near = dr.squared_norm(off) < self._square
+            off = as_vector(self._sideways, corner, active) + way
+            near = dr.squared_norm(off - dr.dot(off, n) * n) < self._square
             return dr.select(near, self._read(self._beam, corner, channel, active), 0)
 
         return _mixed(of, corners, weights)

@@ -219,7 +219,8 @@ class _Body:
         walk.throughput = walk.throughput * lost
         share = self._look_for_beam(walk, optics, ahead, flies & ~hit, sampler)
         walk = self._at_surface(walk, optics, met, hit, dr.select(leaps, turned, ahead), sampler)
-        walk.share = dr.select(flies & ~hit, share, 1)
+        unscattered = leaps & (orders == 0)  # the surface may still be met along the way that was looked along
+        walk.share = dr.select(flies & ~hit, share, dr.select(unscattered, walk.share, 1))
         survival = dr.minimum(walk.throughput / LEAST, 1)
         walk.active &= sampler.next_1d(walk.active) < survival
         walk.throughput = walk.throughput / dr.maximum(survival, 1e-9)
@@ -253,7 +254,7 @@ class _Body:
         met = self._scene.ray_intersect_preliminary(mi.Ray3f(walk.o, toward), False, known)
         corners, weights, n, across = self._met(met, known & met.is_valid())
         hit = known & met.is_valid() & (dr.dot(across, toward) > 0)
-        beam = self._entry.beam(corners, weights, optics.channel, dr.dot(toward, n) * n - toward, hit)
+        beam = self._entry.beam(corners, weights, optics.channel, toward, n, hit)
         scattered = phase(self._g, dr.dot(walk.d, toward))
         density = mi.warp.square_to_von_mises_fisher_pdf(local, CONCENTRATION)
         arrives = beam * dr.exp(-optics.sigma_t * met.t) * scattered / (scattered + density)
@@ -287,9 +288,8 @@ class _Body:
     def _at_surface(self, walk: _Walk, optics: _Optics, met: Any, hit: Any, elsewhere: Any, sampler: Any) -> _Walk:
         """Take the light that entered, and go on reflected; elsewhere along the direction given."""
         corners, weights, n, across = self._met(met, hit)
-        sideways = dr.dot(walk.d, n) * n - walk.d
         even = self._entry.even(corners, weights, optics.channel, hit)
-        beam = walk.share * self._entry.beam(corners, weights, optics.channel, sideways, hit)
+        beam = walk.share * self._entry.beam(corners, weights, optics.channel, walk.d, n, hit)
         if self._slopes is not None:
             frame = mi.Frame3f(n)
             local = frame.to_local(walk.d)
