@@ -194,7 +194,7 @@ def surely_poor(judged: Judged) -> NDArray[np.bool_]:
 def _eased(plan: Plan, model: Light, data: Problem, found: Solution) -> tuple[Solution, Judged]:
     """Where curves surely scatter by more than their errors say, and do not run to one side, they are weighed by that
     scatter and fitted again: against R and shared errors they counted too much."""
-    judged = judge(NUMPY, plan, model, data, found)
+    judged = judge(plan, model, data, found)
     scattered = (judged.grown > 1) & (judged.runs_z < SCATTERED)
     rows = np.flatnonzero(found.converged & scattered & surely_poor(judged))
     if not rows.size:
@@ -205,7 +205,7 @@ def _eased(plan: Plan, model: Light, data: Problem, found: Solution) -> tuple[So
     new = new._replace(stated=old.stated, ease=grown)
     good = np.flatnonzero(new.converged)
     found = replaced(found, rows[good], picked(new, good))
-    return found, judge(NUMPY, plan, model, data, found)
+    return found, judge(plan, model, data, found)
 
 
 def _compared(

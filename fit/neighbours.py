@@ -224,7 +224,7 @@ def bias(fitted: Fitted, every: Sequence[Fewer], truth: Truth) -> Bias:
 def _bias_at(few: Fewer, truth: Truth, found: Solution, at: Point, n: Floats) -> tuple[Floats, Judged]:
     at, data, curves = _light_of(few.plan, truth.table, few.data, at)
     refit = refitted(few.plan, truth.dipole, data, found, Weights(found.weights.mass, curves))
-    return _off(refit.point, at), judge(E, few.plan, truth.dipole, data, refit, significant=0.0, n=n[few.rows])
+    return _off(refit.point, at), judge(few.plan, truth.dipole, data, refit, significant=0.0, n=n[few.rows])
 
 
 def dipole_on_light(fitted: Fitted) -> Floats:

@@ -230,22 +230,22 @@ ERRORS = (
     Mutant(
         "exact: R's own error is dropped",
         "fit/errors.py",
-        "error = xp.where(xp.isfinite(sd), sd, 0.0)",
+        "error = np.where(np.isfinite(sd), sd, 0.0)",
         "error = 0.0 * sd",
         ("fit_budget::a_share_of_the_budget",),
     ),
     Mutant(
         "soft: R weighs by its sd instead of its variance",
         "fit/errors.py",
-        "moved, error = xp.matmul(answer, (row / sd**2)[:, :, None])[:, :, 0], sd",
-        "moved, error = xp.matmul(answer, (row / sd)[:, :, None])[:, :, 0], sd",
+        "moved, error = np.matmul(answer, (row / sd**2)[:, :, None])[:, :, 0], sd",
+        "moved, error = np.matmul(answer, (row / sd)[:, :, None])[:, :, 0], sd",
         ("fit_budget::a_share_of_the_budget",),
     ),
     Mutant(
         "noise: the model's allowance counts as noise",
         "fit/errors.py",
-        "xp.where(force > 0, force**2 * variance + unknown, 0.0)",
-        "xp.where(force > 0, force + unknown, 0.0)",
+        "np.where(force > 0, force**2 * variance + unknown, 0.0)",
+        "np.where(force > 0, force + unknown, 0.0)",
         ("fit_budget::the_share_of_noise",),
     ),
     Mutant(
