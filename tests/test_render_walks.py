@@ -195,7 +195,7 @@ def test_an_evenly_lit_white_ball_is_mended_to_its_light_from_any_error() -> Non
     white = Inside(np.full(3, 1e-9), np.array([1.0, 1.2, 1.5]), 1.3)
     even = np.ones((len(surface.vertices), 3))
     dark = 0.8 * even * (1 + 0.1 * surface.normals[:, :1])
-    walks = sampled(surface, evenly(surface, white.eta, even), white, None, diffuse, walks=32)
+    walks = sampled(surface, evenly(surface, white.eta, even), white, None, diffuse, walks=8)
     light = mended(surface, walks, dark)
     np.testing.assert_allclose(light, 1, rtol=0.05)
     assert np.std(light) < 0.015
@@ -213,7 +213,7 @@ def test_a_ball_lit_from_one_side_grows_redder_into_the_dark_without_coloured_pa
     height = surface.normals[:, 2]
     true = np.exp(np.stack([np.interp(height, (np.arange(6) - 2.5) / 3, line) for line in known.T], axis=1))
     points = 0.8 * true * (1 + 0.03 * height[:, None] * [1, 0, -1])
-    walks = [sampled(surface, entered, inside, None, diffuse, walks=64, seed=seed) for seed in (1, 2)]
+    walks = [sampled(surface, entered, inside, None, diffuse, walks=16, seed=seed) for seed in (1, 2)]
     found = [mended(surface, each, points) for each in walks]
     first, second = (np.log((light / light[:, 1:2])[height < 0][:, ::2]) for light in found)
     expected = np.log((true / true[:, 1:2])[height < 0][:, ::2])

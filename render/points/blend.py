@@ -43,8 +43,8 @@ _MOST_LOST = 0.1
 """Of what is added, by means over neighbourhoods: on a white cube of three mean free paths 0.7 %."""
 _GRAZING = 0.05
 """Cosine to the viewer below which a place counts as unseen: little is transmitted there."""
-_UNSEEN = 4
-"""Of the walks one in so many is enough where the viewer does not look."""
+_UNSEEN, _FEWEST = 8, 3
+"""Of the walks one in so many, and so many, are enough where the viewer does not look."""
 
 Viewer = Callable[[Floats], Floats]
 """Unit vectors (k, 3) from places to whoever looks at them."""
@@ -65,6 +65,8 @@ class Sampled:
     """How far walks count there, from 0 where the body is flat and thick to 1, (p,)."""
     found: Walked | None
     """Where they count; None on a body that is flat and thick all over."""
+    walks: Integers
+    """From each of those."""
     spacing: float
     """Between places."""
 
@@ -90,11 +92,16 @@ def sampled(
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
     bent = np.minimum(_Near(places, normals, places, normals, _NEIGHBOURS).bend() / _BENT, 1)
     rows = np.flatnonzero(bent > 0)
-    found = None
+    found, number = None, np.zeros(len(rows), np.int64)
     if len(rows):
-        walks = round(walks * min(max(PLACES / len(rows), 1), _MORE))
-        found = _found(surface, entered, inside, places[rows], normals[rows], viewer, leaving, walks, seed)
-    return Sampled(corners, places, normals, bent, found, spacing)
+        most = round(walks * min(max(PLACES / len(rows), 1), _MORE))
+        towards, cosine = _seen(places[rows], normals[rows], viewer)
+        fewer = most if viewer is None else max(most // _UNSEEN, _FEWEST)
+        number = np.where(cosine > 0, most, fewer)
+        found = walked(surface, entered, inside, places[rows], normals[rows], towards=towards, walks=number, seed=seed)
+        lobe = np.where(cosine[:, None] > 0, leaving(cosine), 1)
+        found = Walked(found.mean / lobe, found.variance / lobe**2)
+    return Sampled(corners, places, normals, bent, found, number, spacing)
 
 
 def mended(surface: BodySurface, known: Sampled, exitance: Floats) -> Floats:
@@ -107,7 +114,7 @@ def mended(surface: BodySurface, known: Sampled, exitance: Floats) -> Floats:
         return exitance
     rows = np.flatnonzero(known.bent > 0)
     bent = known.bent[rows, None]
-    around = _Near(places[rows], normals[rows], places[rows], normals[rows], _NEIGHBOURS)
+    around = _Near(places[rows], normals[rows], places[rows], normals[rows], _NEIGHBOURS, known.walks)
     missing = np.zeros((len(places), exitance.shape[1]))
     flat = exitance[known.corners[rows]].mean(axis=1)
     light = _tinted(around, found, flat, flat + _quiet(around, found, flat, spacing), spacing)
@@ -124,26 +131,12 @@ def _kept(asked: Floats, given: Floats) -> Floats:
     return np.clip(ratio, 1 - _MOST_LOST, 1 + _MOST_LOST)
 
 
-def _found(
-    surface: BodySurface,
-    entered: Entered,
-    inside: Inside,
-    places: Floats,
-    normals: Floats,
-    viewer: Viewer | None,
-    leaving: Leaving,
-    walks: int,
-    seed: int,
-) -> Walked:
-    """By walks along the view where there is one, by fewer in all directions elsewhere."""
+def _seen(places: Floats, normals: Floats, viewer: Viewer | None) -> tuple[Floats, Floats]:
+    """The directions to the viewer and their cosines, 0 where the places are not seen."""
     towards = np.zeros_like(places) if viewer is None else viewer(places)
     cosine = np.einsum("ij,ij->i", towards, normals)
-    seen = cosine > _GRAZING
-    along = np.where(seen[:, None], towards, 0)
-    number = np.where(seen, walks, max(walks // _UNSEEN, 4))
-    found = walked(surface, entered, inside, places, normals, towards=along, walks=number, seed=seed)
-    lobe = np.where(seen[:, None], leaving(cosine), 1)
-    return Walked(found.mean / lobe, found.variance / lobe**2)
+    cosine = np.where(cosine > _GRAZING, cosine, 0)
+    return np.where(cosine[:, None] > 0, towards, 0), cosine
 
 
 def _quiet(around: _Near, found: Walked, flat: Floats, spacing: float) -> Floats:
@@ -208,11 +201,14 @@ def place_spacing(surface: BodySurface, inside: Inside) -> float:
 class _Near:
     """The places near others, on their side of the body."""
 
-    def __init__(self, places: Floats, normals: Floats, at: Floats, facing: Floats, most: int) -> None:
+    def __init__(
+        self, places: Floats, normals: Floats, at: Floats, facing: Floats, most: int, counts: Integers | None = None
+    ) -> None:
+        """`counts` (k,) weigh the places in means."""
         self._places = len(places)
         self._apart, self._near = cKDTree(places).query(at, range(1, min(most, len(places)) + 1))
         self._cosines = np.einsum("ijk,ik->ij", normals[self._near], facing)
-        self._aligned = np.maximum(self._cosines, 1e-6)
+        self._aligned = np.maximum(self._cosines, 1e-6) * (1 if counts is None else counts[self._near])
         self._known: dict[float, csr_array] = {}
 
     def nearest_sum(self, values: Floats) -> Floats:
