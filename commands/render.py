@@ -7,6 +7,7 @@ import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from tempfile import TemporaryFile
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
@@ -120,6 +121,7 @@ def render(scene: str, model: str, terms: str | None, explain: bool, out: Path |
     from bssrdf.report import steps
 
     stem = out or Path(Path(scene).stem)
+    stem = stem.with_suffix("") if stem.suffix.lower() in (".exr", ".png") else stem
     _refuse([stem.with_name(f"{stem.name}.{kind}") for kind in ("exr", "png")], given.pop("force"))
     goal, options = _goal(given), _options(given, terms, seed)
     subject = _subject(scene, given, 1024)
@@ -199,6 +201,10 @@ def _refuse(paths: list[Path], force: bool) -> None:
     for path in paths:
         if not fresh(path, force).parent.is_dir():
             raise UsageError(f"{path.parent} is not a folder; make it first, or choose another --out")
+        try:
+            TemporaryFile(dir=path.parent).close()
+        except OSError as error:
+            raise UsageError(f"{path.parent} cannot be written to ({error.strerror}); choose another --out") from error
 
 
 def _goal(given: dict[str, Any]) -> Goal:

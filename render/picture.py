@@ -65,6 +65,8 @@ def load_stage(scene: Scene | Path, options: RenderOptions, colour: Literal["rgb
 
     register()
     name = str(scene) if isinstance(scene, Path) else f"scene {scene.name}"
+    if isinstance(scene, Path) and not scene.is_file():
+        raise InputError(f"{name}: is not there; check the path")
     try:
         loaded = mi.load_file(str(scene)) if isinstance(scene, Path) else mi.load_dict(scene_dict(scene, options))
         options, chosen = _with_method(loaded, options)

@@ -55,6 +55,27 @@ def test_a_picture_is_written_with_what_made_it_and_never_over_another(
 
 
 @needs_renderer
+def test_a_picture_may_be_named_by_either_of_its_files(tmp_path: Path) -> None:
+    assert bssrdf("render", "block", "--model", "brdf", "--out", tmp_path / "cube.png", *QUICK) == 0
+    assert {path.name for path in tmp_path.iterdir()} == {"cube.exr", "cube.png"}
+
+
+@pytest.mark.skipif(not Path("/proc").is_dir(), reason="no folder that nobody can write to")
+@pytest.mark.parametrize(("folder", "words"), [("/proc", "cannot be written to"), ("/proc/none", "is not a folder")])
+def test_a_picture_that_could_not_be_written_is_not_drawn(
+    folder: str, words: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert bssrdf("render", "bust", "--out", f"{folder}/bust") == 2
+    assert words in one_line(capsys)
+
+
+@needs_renderer
+def test_a_scene_file_that_is_not_there_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert bssrdf("render", tmp_path / "none.xml", "--out", tmp_path / "none") == 3
+    assert one_line(capsys).endswith("none.xml: is not there; check the path")
+
+
+@needs_renderer
 def test_a_picture_is_drawn_without_jax_once_its_kernels_are_known(tmp_path: Path) -> None:
     command = ["render", "bust", "--method", "points", "--out", str(tmp_path / "bust"), "--force", *QUICK]
     assert bssrdf(*command) == 0  # makes them
