@@ -15,6 +15,7 @@ from builders import changed, model_slice, seen_slice, slice_of
 
 from bssrdf.bench.trial_light import shipped
 from bssrdf.bench.trials import Drawn, slices_of
+from bssrdf.fit import neighbours
 from bssrdf.fit.batch import Fitted, fit_group
 from bssrdf.fit.compiled import settled
 from bssrdf.fit.jobs import FitOptions, Job
@@ -138,6 +139,22 @@ def test_no_search_fails_on_curves_that_the_model_cannot_make() -> None:
         pieces.append(slice_of(r_mm, light, total_r=float(total_r(medium)), **shared, g=0.0))
     fits = [fit["G"] for fit in fit_slices(pieces, FitOptions(model="mc", tables="shipped"))]
     assert not any("not_converged" in fit.flags for fit in fits)
+
+
+def test_what_other_models_say_hangs_little_on_how_many_of_the_radii_are_asked(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Curves of 169 and 175 radii, of which every second is looked at: the dipole's bias, and what a wrong η does."""
+    pieces = [trial(name) for name in ("Wholemilk R", "Potato G", "Apple B")]
+
+    def said() -> tuple[list[float], list[float]]:
+        fits = [fit["G"] for fit in fit_slices(pieces, FitOptions(model="dipole", constraint="soft"))]
+        return [x for f in fits for x in f.model_error.values()], [x for f in fits for x in f.sensitivity.values()]
+
+    some = said()
+    monkeypatch.setattr(neighbours, "ENOUGH", 10**6)
+    every = said()
+    assert some != every
+    np.testing.assert_allclose(some[0], every[0], rtol=0.05)
+    np.testing.assert_allclose(some[1], every[1], rtol=0.005)
 
 
 def test_light_beyond_the_end_of_the_table_does_not_count() -> None:
