@@ -51,6 +51,8 @@ def read_mesh(path: Path, *, height_mm: float | None = None) -> MeshFile:
         remarks.append(f"{path}: has no normals; smooth ones were taken from its faces")
     if len(normals) != len(vertices):
         normals = face_normals(vertices, faces)
+    if mixed := _mixed_edges(vertices, faces):
+        remarks.append(f"{path}: faces look either way across {mixed} edges, where light is wrong; turn them alike")
     if _volume(vertices, faces) < 0:
         remarks.append(f"{path}: its faces look inwards; they were turned over")
         faces = faces[:, ::-1].copy()
@@ -103,6 +105,17 @@ def mitsuba_mesh(name: str, surface: TexturedSurface, properties: Any) -> Any:
 def _volume(vertices: np.ndarray, faces: np.ndarray) -> float:
     a, b, c = np.moveaxis((vertices - vertices.mean(axis=0))[faces], 1, 0)
     return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6)
+
+
+def _mixed_edges(vertices: np.ndarray, faces: np.ndarray) -> int:
+    """Edges along which an even number of faces do not run to and fro alike."""
+    _, place = np.unique(vertices, axis=0, return_inverse=True)
+    corners = place.reshape(-1)[faces].astype(np.int64)
+    ahead = np.roll(corners, -1, axis=1)
+    least, most = np.minimum(corners, ahead), np.maximum(corners, ahead)
+    _, edge, count = np.unique((least * len(vertices) + most).ravel(), return_inverse=True, return_counts=True)
+    balance = np.bincount(edge.ravel(), np.sign(ahead - corners).ravel())
+    return int(np.count_nonzero((balance != 0) & (count % 2 == 0)))
 
 
 def _agree(vertices: np.ndarray, faces: np.ndarray, normals: np.ndarray) -> bool:

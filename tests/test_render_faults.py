@@ -105,6 +105,18 @@ def test_a_mesh_inside_out_is_turned_and_told(tmp_path: Path, inward: bool, norm
     assert np.all(np.einsum("ij,ij->i", mesh.normals, mesh.vertices - mesh.vertices.mean(axis=0)) > 0)
 
 
+@pytest.mark.parametrize("turned", [0, 1])
+def test_faces_that_look_either_way_are_told(tmp_path: Path, turned: int) -> None:
+    from bssrdf.render import read_mesh
+
+    path = tmp_path / "mixed.ply"
+    write_tetrahedron(path, inward=False, normals=False)
+    text = path.read_text()
+    path.write_text(text.replace("3 1 2 3", "3 1 3 2") if turned else text)
+    _, remarks = read_mesh(path)
+    assert any("either way across 3 edges" in line for line in remarks) == bool(turned)
+
+
 @pytest.mark.parametrize(
     ("name", "text", "words"),
     [
