@@ -365,7 +365,7 @@ def test_the_page_is_sorted_by_verdict_and_escapes_what_it_is_told(tmp_path: Pat
     odd = replace(plain(), material="<script>alert(1)</script>")
     files_of(tmp_path / "in", {"good.csv": odd, "hopeless.csv": replace(rich(), flags=())})
     (tmp_path / "in" / "zero.csv").write_text("x")
-    assert bssrdf("batch", tmp_path / "in", "--stages", "fit", "--out", tmp_path / "out") == 3
+    assert bssrdf("batch", tmp_path / "in", "--stages", "fit", "--model", "dipole", "--out", tmp_path / "out") == 3
     page = (tmp_path / "out" / "index.html").read_text()
     assert page.index(">zero<") < page.index(">hopeless<") < page.index(">good<")
     assert "<script>alert" not in page
