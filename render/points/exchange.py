@@ -21,7 +21,7 @@ from bssrdf.render.points.record import BodySurface, Floats
 
 _OTHERS, _ITSELF = 0.01, 0.3
 """Of what a body sees, the share that is other bodies, or itself, from which on there are further rounds. The bust sees
-a tenth of itself: a second round adds 1 % of the light that enters it in skin1's red, 0.1 % in blue."""
+a tenth of itself: rounds add 4.1, 1.6, 0.9 % to it in skin1, 2.8, 2.2, 1.5 % in marble, at 2.6 times the cost."""
 _RAYS = 1 << 13
 _SETTLED = 2e-3
 """Change of the light that enters, by the last round: a third of it was still to come in white cubes that touch."""
