@@ -57,11 +57,11 @@ def prepare(scene: Any, sensor: Any | None, settings: Settings, plan: LightPlan,
 
     def lit(tracer: Tracer, what: str) -> list[_LitBody]:
         found = []
-        for number, (mesh, surface) in enumerate(zip(meshes, surfaces, strict=True)):
+        for number, ((shape, surface), mesh) in enumerate(zip(parts, meshes, strict=True)):
             if progress is not None:
-                progress(f"light into {mesh.id()}{what}", number, len(meshes))
+                progress(f"light into {shape.id()}{what}", number, len(meshes))
             arrived = arrive(tracer, mesh, surface, plan.light_samples, plan.seed) + by_mirror[number]
-            found.append(_LitBody(mesh.id(), mesh, surface, arrived))
+            found.append(_LitBody(shape.id(), mesh, surface, arrived))
         for body in found:
             _leave(tracer.media, body, found, viewer_of(sensor), plan)
         return found
