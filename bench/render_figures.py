@@ -75,7 +75,7 @@ FIGURES = {
         (
             BRDF,
             BSSRDF,
-            Panel("full Monte Carlo", RenderOptions("mc"), goal=Goal(samples=512), coarser=8),
+            Panel("full Monte Carlo", RenderOptions("mc"), goal=Goal(samples=2048), coarser=8),
             *(
                 Panel(
                     f"the paper's {term}",
