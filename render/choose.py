@@ -52,14 +52,15 @@ def choose_method(scene: Any) -> tuple[Method, str]:
 
     tightest, said = math.inf, "no closed body"
     for shape in Media(scene).shapes:
+        name = shape.id() or "body"
         if any(radius < _widest_spread(shape.bsdf().surface) for _, radius in spots_on(scene, shape.bsdf())):
-            return "points", f"{shape.id()}: under a narrow beam, which walks hardly find"
+            return "points", f"{name}: under a narrow beam, which walks hardly find"
         surface, spread = surface_of(shape), _widest_spread(shape.bsdf().surface)
         size = body_size(surface.vertices, surface.faces) if is_closed(surface) else math.inf
         path = float(1 / mean_coefficients(shape.bsdf().surface).sum(axis=0).min())
         if (room := min(size / spread / WIDE, size / path / DEEP)) < tightest:
             tightest = room
-            said = f"{shape.id()}: {size:.3g} large, light spreads {spread:.3g}, its mean free path is {path:.3g}"
+            said = f"{name}: {size:.3g} large, light spreads {spread:.3g}, its mean free path is {path:.3g}"
     return ("points" if tightest >= 1 else "walks"), said
 
 
