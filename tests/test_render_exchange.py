@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -12,8 +13,13 @@ pytest.importorskip("mitsuba", reason='Mitsuba is not installed: pip install "bs
 import mitsuba as mi
 from mitsuba_scenes import SKY, prepared, sampler
 
+from bssrdf.render.material import find_medium
+from bssrdf.render.picture import load_stage, render_pass
+from bssrdf.render.plugins import RenderOptions
+from bssrdf.render.points import prepare
 from bssrdf.render.points.exchange import drawn_in
 from bssrdf.render.points.spread import is_closed, surface_of
+from bssrdf.render.scenes.figures import bust
 
 pytestmark = pytest.mark.usefixtures("mitsuba_mono")
 
@@ -56,3 +62,16 @@ def test_a_body_drawn_in_stays_closed_and_lies_inside() -> None:
     assert np.all(np.abs(inner.vertices) < 1)
     np.testing.assert_allclose(inner.vertices, surface.vertices, atol=2e-3)
     np.testing.assert_allclose(np.abs(inner.vertices), np.abs(inner.vertices[0, 0]), rtol=1e-9)
+
+
+def test_what_a_body_sees_of_itself_is_found_in_one_round_as_in_many(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The bust sees a tenth of itself: lit as by a flat body it is too dark in a skin's red, which spreads far."""
+    scene = bust(find_medium("Skin1"))
+    scene = replace(scene, camera=replace(scene.camera, pixels=(32, 32)), furniture={})
+    found = {}
+    for rounds in ("none", "one", "many"):
+        monkeypatch.setattr(prepare, "rounds_for", lambda *_, rounds=rounds: rounds)
+        stage = load_stage(scene, RenderOptions("bssrdf", method="walks", walks=4, seed=1))
+        found[rounds] = np.asarray(render_pass(stage, 16, 1)).mean(axis=(0, 1))
+    np.testing.assert_allclose(found["one"], found["many"], rtol=0.004)
+    assert found["none"][0] < 0.99 * found["many"][0]

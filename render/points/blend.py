@@ -44,7 +44,8 @@ _MOST_LOST = 0.1
 _GRAZING = 0.05
 """Cosine to the viewer below which a place counts as unseen: little is transmitted there."""
 _UNSEEN, _FEWEST = 8, 3
-"""Of the walks one in so many, and so many, are enough where the viewer does not look."""
+"""Of the walks one in so many, and so many, are enough where the viewer does not look. Places are not weighed by their
+walks: those seen would speak for what lies round the bend, and the bust came out 1 % darker."""
 
 Viewer = Callable[[Floats], Floats]
 """Unit vectors (k, 3) from places to whoever looks at them."""
@@ -65,8 +66,6 @@ class Sampled:
     """How far walks count there, from 0 where the body is flat and thick to 1, (p,)."""
     found: Walked | None
     """Where they count; None on a body that is flat and thick all over."""
-    walks: Integers
-    """From each of those."""
     spacing: float
     """Between places."""
 
@@ -92,7 +91,7 @@ def sampled(
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
     bent = np.minimum(_Near(places, normals, places, normals, _NEIGHBOURS).bend() / _BENT, 1)
     rows = np.flatnonzero(bent > 0)
-    found, number = None, np.zeros(len(rows), np.int64)
+    found = None
     if len(rows):
         most = round(walks * min(max(PLACES / len(rows), 1), _MORE))
         towards, cosine = _seen(places[rows], normals[rows], viewer)
@@ -101,7 +100,7 @@ def sampled(
         found = walked(surface, entered, inside, places[rows], normals[rows], towards=towards, walks=number, seed=seed)
         lobe = np.where(cosine[:, None] > 0, leaving(cosine), 1)
         found = Walked(found.mean / lobe, found.variance / lobe**2)
-    return Sampled(corners, places, normals, bent, found, number, spacing)
+    return Sampled(corners, places, normals, bent, found, spacing)
 
 
 def mended(surface: BodySurface, known: Sampled, exitance: Floats) -> Floats:
@@ -114,7 +113,7 @@ def mended(surface: BodySurface, known: Sampled, exitance: Floats) -> Floats:
         return exitance
     rows = np.flatnonzero(known.bent > 0)
     bent = known.bent[rows, None]
-    around = _Near(places[rows], normals[rows], places[rows], normals[rows], _NEIGHBOURS, known.walks)
+    around = _Near(places[rows], normals[rows], places[rows], normals[rows], _NEIGHBOURS)
     missing = np.zeros((len(places), exitance.shape[1]))
     flat = exitance[known.corners[rows]].mean(axis=1)
     light = _tinted(around, found, flat, flat + _quiet(around, found, flat, spacing), spacing)
@@ -201,14 +200,11 @@ def place_spacing(surface: BodySurface, inside: Inside) -> float:
 class _Near:
     """The places near others, on their side of the body."""
 
-    def __init__(
-        self, places: Floats, normals: Floats, at: Floats, facing: Floats, most: int, counts: Integers | None = None
-    ) -> None:
-        """`counts` (k,) weigh the places in means."""
+    def __init__(self, places: Floats, normals: Floats, at: Floats, facing: Floats, most: int) -> None:
         self._places = len(places)
         self._apart, self._near = cKDTree(places).query(at, range(1, min(most, len(places)) + 1))
         self._cosines = np.einsum("ijk,ik->ij", normals[self._near], facing)
-        self._aligned = np.maximum(self._cosines, 1e-6) * (1 if counts is None else counts[self._near])
+        self._aligned = np.maximum(self._cosines, 1e-6)
         self._known: dict[float, csr_array] = {}
 
     def nearest_sum(self, values: Floats) -> Floats:

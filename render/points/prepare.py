@@ -18,7 +18,7 @@ from bssrdf.render.mesh_file import mitsuba_mesh
 from bssrdf.render.paths import EXITANCE, Settings, Tracer
 from bssrdf.render.points.blend import Sampled, Viewer, mended, sampled
 from bssrdf.render.points.enter import Arrived, arrive
-from bssrdf.render.points.exchange import drawn_in, exchanges, settle
+from bssrdf.render.points.exchange import drawn_in, rounds_for, settle
 from bssrdf.render.points.fineness import spots_on, target_edge, viewer_of
 from bssrdf.render.points.gather import gather
 from bssrdf.render.points.mirrored import mirrored
@@ -55,7 +55,7 @@ def prepare(scene: Any, sensor: Any | None, settings: Settings, plan: LightPlan,
     first = Tracer(finer, inner)
     by_mirror = mirrored(first, meshes, surfaces, plan.seed)
 
-    def lit(tracer: Tracer, what: str) -> list[_LitBody]:
+    def lit(tracer: Tracer, what: str, by: LightPlan) -> list[_LitBody]:
         found = []
         for number, ((shape, surface), mesh) in enumerate(zip(parts, meshes, strict=True)):
             if progress is not None:
@@ -63,13 +63,18 @@ def prepare(scene: Any, sensor: Any | None, settings: Settings, plan: LightPlan,
             arrived = arrive(tracer, mesh, surface, plan.light_samples, plan.seed) + by_mirror[number]
             found.append(_LitBody(shape.id(), mesh, surface, arrived))
         for body in found:
-            _leave(tracer.media, body, found, viewer_of(sensor), plan)
+            _leave(tracer.media, body, found, viewer_of(sensor), by)
         return found
 
-    bodies = lit(first, "")
-    if settings.kernel == "table" and exchanges(first, meshes):
-        again = Tracer(finer, replace(inner, local=False))
-        settle(bodies, lambda number: lit(again, f", from bodies, {number}"))
+    rounds = rounds_for(first, meshes) if settings.kernel == "table" else "none"
+    again = Tracer(finer, replace(inner, local=False))
+    if rounds == "one" and plan.method == "walks":  # where light spreads little it is right as from a flat one
+        lit(first, "", replace(plan, walks=max(plan.walks // 8, 2), opening=2 * plan.opening))
+        lit(again, ", from itself", plan)
+    else:
+        bodies = lit(first, "", plan)
+        if rounds == "many":
+            settle(bodies, lambda number: lit(again, f", from bodies, {number}", plan))
     return Prepared(scene, finer, Tracer(finer, settings))
 
 
