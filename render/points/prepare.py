@@ -25,10 +25,13 @@ from bssrdf.render.points.mirrored import mirrored
 from bssrdf.render.points.record import BodySurface, Floats, LightPlan
 from bssrdf.render.points.spread import is_closed, openings, parts_of, refine, surface_of
 from bssrdf.render.points.walk import Inside
+from bssrdf.render.surface_nets import body_size
 
 Progress = Callable[[str, int, int], None]
 _BYTES = 2000
 """Of memory per triangle: 800 were seen from 44,000 to 500,000 triangles; as much again for what runs beside."""
+_FAR = 10.0
+"""Size of a body over how far its light spreads, below which its own light counts: the face, of 18, gains 0.3 %."""
 
 
 @dataclass(frozen=True)
@@ -68,7 +71,8 @@ def prepare(scene: Any, sensor: Any | None, settings: Settings, plan: LightPlan,
 
     rounds = rounds_for(first, meshes) if settings.kernel == "table" else "none"
     again = Tracer(finer, replace(inner, local=False))
-    if rounds == "one" and plan.method == "walks":  # where light spreads little it is right as from a flat one
+    far = any(_spreads_far(_optics(media, shape, surface), surface) for shape, surface in parts)
+    if rounds == "one" and plan.method == "walks" and far:
         lit(first, "", replace(plan, walks=max(plan.walks // 8, 2), opening=2 * plan.opening))
         lit(again, ", from itself", plan)
     else:
@@ -91,11 +95,14 @@ def _refined(scene: Any, shape: Any, media: Media, sensor: Any | None, plan: Lig
     optics = _optics(media, shape, surface)
     lengths = 1 / np.maximum(optics.sigma_tp.mean(axis=0), 1e-30)
     path = float(np.sqrt(lengths.min() * lengths.mean()))
-    decay = np.sqrt(3 * (1 - optics.albedo)) * optics.sigma_tp
-    fall = float(1 / np.maximum(decay.mean(), 1e-30))
+    fall = float(1 / np.maximum(optics.decay().mean(), 1e-30))
     target = target_edge(path, fall, sensor, spots_on(scene, shape.bsdf()), plan)
     surface = _ordered(refine(surface, target, min(plan.most, _free_bytes() // _BYTES), shape.id()))
     return drawn_in(surface) if is_closed(surface) else surface
+
+
+def _spreads_far(optics: _Coefficients, surface: BodySurface) -> bool:
+    return float(optics.decay().min()) * body_size(surface.vertices, surface.faces) < _FAR
 
 
 def _free_bytes() -> int:
@@ -121,6 +128,10 @@ class _Coefficients:
     albedo: Floats
     sigma_tp: Floats
     total: Floats
+
+    def decay(self) -> Floats:
+        """σtr."""
+        return np.asarray(np.sqrt(3 * (1 - self.albedo)) * self.sigma_tp)
 
 
 def _optics(media: Media, shape: Any, surface: BodySurface) -> _Coefficients:
