@@ -41,7 +41,7 @@ def hdr(out: Path | None, force: bool) -> None:
     help="Append the ratios to SciPy, with the commit, to this file of JSON lines, and tell which have fallen.",
 )
 def fit(out: Path | None, force: bool, history: Path | None) -> None:
-    """The same curves by every model, by jaxopt and by SciPy; and what one `bssrdf fit` costs."""
+    """The same curves by all models, jaxopt, SciPy; a cold command."""
     from bssrdf.bench.camera_curves import command_seconds
     from bssrdf.bench.fit import ratios, run_fit_bench, table
     from bssrdf.bench.history import appended, read_ratios

@@ -88,9 +88,9 @@ def test_evenly_lit_slab_is_the_closed_form_of_the_table(material: PublishedMate
     }
     n = 1 << 14
     scene = scene_of(sigmas | {"eta": material.eta}, plane(2000), sky=SKY)
-    value, _ = radiance(scene, towards_square(0.8, n), n)
+    values = [seen_by(prepared(scene, seed=seed), scene, towards_square(0.8, n), n)[0] for seed in (0, 1, 2)]
     expected = [even_light(material, channel, VIEW) for channel in range(3)]
-    np.testing.assert_allclose(value, expected, rtol=0.005)
+    np.testing.assert_allclose(np.mean(values, axis=0), expected, rtol=0.005)  # of one seed 0.5 % of noise
 
 
 def sky_emitters() -> dict[str, dict[str, Any]]:
