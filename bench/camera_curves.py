@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import math
 import tempfile
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -105,7 +106,7 @@ def _slice(name: str, rng: np.random.Generator) -> Slice:
         channels[channel] = ChannelSlice(middle, noisy, sd, lo, hi, sides)
         totals[channel] = total_r * (1 + TOTAL_NOISE * rng.standard_normal())
     sds = {channel: TOTAL_NOISE * total_r for channel, (_, total_r) in seen.items()}
-    return Slice(**{**vars(bare), "channels": channels, "total_r": totals, "total_r_sd": sds})
+    return replace(bare, channels=channels, total_r=totals, total_r_sd=sds)
 
 
 def _seen(piece: Slice, log_sigma: float, q: float) -> tuple[Floats, float]:

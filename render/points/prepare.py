@@ -71,8 +71,8 @@ def prepare(scene: Any, sensor: Any | None, settings: Settings, plan: LightPlan,
 
     rounds = rounds_for(first, meshes) if settings.kernel == "table" else "none"
     again = Tracer(finer, replace(inner, local=False))
-    far = any(_spreads_far(_optics(media, shape, surface), surface) for shape, surface in parts)
-    if rounds == "one" and plan.method == "walks" and far:
+    far = rounds == "one" and any(_spreads_far(_optics(media, shape, surface), surface) for shape, surface in parts)
+    if far and plan.method == "walks":
         lit(first, "", replace(plan, walks=max(plan.walks // 8, 2), opening=2 * plan.opening))
         lit(again, ", from itself", plan)
     else:
